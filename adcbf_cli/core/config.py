@@ -42,9 +42,7 @@ class PerceptionConfig(StageConfig):
     )
     min_range_m: NonNegative = Field(0.3, description="Closer points are the robot itself.")
     min_height_m: float = Field(-3.0, description="Lower points (levelled sensor frame) are dropped.")
-    max_height_m: float = Field(
-        2.5, description="Higher points (levelled sensor frame) are dropped: overhangs."
-    )
+    max_height_m: float = Field(2.5, description="Higher points (levelled sensor frame) are dropped: overhangs.")
     smoothing: bool = Field(True, description="Statistical outlier removal.")
     smoothing_neighbours: Annotated[int, Field(ge=1)] = 8
     smoothing_std_ratio: Positive = 2.0
@@ -62,9 +60,7 @@ class PerceptionConfig(StageConfig):
     min_cluster_size: Annotated[int, Field(ge=2)] = 5
     min_samples: Annotated[int, Field(ge=1)] = 3
     dbscan_eps_m: Positive = 0.5
-    max_radius_m: Positive = Field(
-        1.0, description="Clusters with a larger circle are split along their length."
-    )
+    max_radius_m: Positive = Field(1.0, description="Clusters with a larger circle are split along their length.")
     point_labels: bool = Field(False, description="Also keep each point's cluster (table `points`).")
 
 
@@ -93,9 +89,7 @@ class PredictionConfig(StageConfig):
     steps: Annotated[int, Field(ge=1, le=1000)] = 30
     step_s: Positive = 0.1
     probability: Probability = Field(0.95, description="Coverage of the ellipse and of the conformal radius.")
-    calibration: Literal["none", "past", "file"] = Field(
-        "past", description="Where conformal residuals come from."
-    )
+    calibration: Literal["none", "past", "file"] = Field("past", description="Where conformal residuals come from.")
 
 
 class EvaluationConfig(StageConfig):
