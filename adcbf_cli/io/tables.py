@@ -280,8 +280,9 @@ class _Rows:
     """A table's rows, read in batches, handed out frame by frame as dicts of numpy arrays."""
 
     def __init__(self, path: Path) -> None:
-        self._batches = iter(pq.ParquetFile(path).iter_batches(batch_size=ROWS_PER_GROUP))
-        self._rest = pa.table({})
+        file = pq.ParquetFile(path)
+        self._batches = iter(file.iter_batches(batch_size=ROWS_PER_GROUP))
+        self._rest = file.schema_arrow.empty_table()
         self._index = np.zeros(0, dtype=np.int32)
 
     def of(self, frame_index: int) -> pa.Table:
@@ -335,10 +336,12 @@ def read_clusters(folder: Path) -> Iterator[Clusters]:
             centre_sensor_m=np.column_stack([_column(part, f"sensor_frame_{axis}_m") for axis in "xyz"]),
             points=_column(part, "points").astype(np.int64),
             split_from=_column(part, "split_from", NO_ID).astype(np.int64),
-            **{
-                name: _column(part, name)
-                for name in ("radius_m", "height_m", "length_m", "width_m", "yaw_rad", "probability")
-            },
+            radius_m=_column(part, "radius_m"),
+            height_m=_column(part, "height_m"),
+            length_m=_column(part, "length_m"),
+            width_m=_column(part, "width_m"),
+            yaw_rad=_column(part, "yaw_rad"),
+            probability=_column(part, "probability"),
         )
 
 

@@ -1,0 +1,66 @@
+"""What goes to the terminal, and where: results to stdout, everything else to stderr."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, TypeVar
+
+from adcbf_cli.core.types import Notes
+
+T = TypeVar("T")
+
+
+def print_json(document: Any) -> None:
+    """One JSON document on stdout. NaN is not JSON and would be an error in the program."""
+    print(json.dumps(document, indent=2, allow_nan=False))
+
+
+def say(text: str) -> None:
+    """A line for the person at the terminal, on stderr."""
+    print(f"adcbf: {text}", file=sys.stderr)
+
+
+def show_notes(notes: Notes) -> None:
+    """Warnings, losses and counted repairs, a line each."""
+    for warning in notes.warnings:
+        say(f"warning: {warning}")
+    for loss in notes.losses:
+        count = "" if loss.count is None else f" ({loss.count})"
+        say(f"lost: {loss.what}{count}")
+    for name, number in sorted(notes.counters.items()):
+        say(f"note: {name.replace('_', ' ')}: {number}")
+
+
+def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+    """A table on stdout: the first column to the left, numbers to the right."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    for i, column in enumerate(columns):
+        table.add_column(column, justify="left" if i == 0 else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    # Piped output keeps its full width: folding at 80 columns would break scripts that read it.
+    Console(width=None if sys.stdout.isatty() else 160).print(table)
+
+
+def progress(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
+    """Passes items on, with a bar on stderr where that is a terminal: count, rate, time left."""
+    if not sys.stderr.isatty():
+        yield from items
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.text import Text
+
+    class Rate(ProgressColumn):
+        def render(self, task: Any) -> Text:
+            return Text(f"{task.finished_speed or task.speed or 0:.1f} frames/s")
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Rate(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        yield from bar.track(items, total=total, description=what)

@@ -1,0 +1,199 @@
+"""The run folder: fixed file names, a manifest (`run.json`), and the rule for what may be reused.
+
+A stage's output is valid when every one of its tables is whole and carries the key that the
+stage's input, configuration and code would give now, and the manifest lists the stage under the
+same key. The manifest is written last, so a command killed at any moment leaves a stage either
+valid or plainly not.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import adcbf_cli
+from adcbf_cli.core.config import Config
+from adcbf_cli.core.errors import AdcbfError
+from adcbf_cli.core.types import Loss, Notes
+from adcbf_cli.io.atomic import remove_leftovers, write_text_atomically
+from adcbf_cli.io.tables import SCHEMA_VERSION, table_metadata
+
+MANIFEST = "run.json"
+
+STAGES = ("cluster", "track", "predict")
+"""In pipeline order; a stage needs all the earlier ones."""
+
+TABLES: dict[str, tuple[str, ...]] = {
+    "cluster": ("frames", "clusters"),
+    "track": ("tracks",),
+    "predict": ("predictions",),
+}
+
+
+@dataclass(frozen=True)
+class SourceFile:
+    """One file of the log, for provenance."""
+
+    name: str
+    size_bytes: int
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Source:
+    """The log a run was made from: its path as given, and the hash over its files."""
+
+    path: str
+    sha256: str
+    files: tuple[SourceFile, ...]
+
+
+@dataclass(frozen=True)
+class StageRecord:
+    """What the manifest says of a stage: its key, its tables' row counts, and its notes."""
+
+    key: str
+    rows: dict[str, int]
+    warnings: list[str] = field(default_factory=list)
+    losses: list[Loss] = field(default_factory=list)
+    counters: dict[str, int] = field(default_factory=dict)
+
+    def notes(self) -> Notes:
+        return Notes(list(self.warnings), list(self.losses), dict(self.counters))
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """`run.json`: what was run, on what, and how."""
+
+    source: Source
+    selection: dict[str, Any]
+    config: Config
+    stages: dict[str, StageRecord]
+
+    def to_json(self) -> str:
+        document = {
+            "schema_version": SCHEMA_VERSION,
+            "adcbf": adcbf_cli.__version__,
+            "source": asdict(self.source),
+            "selection": self.selection,
+            "config": self.config.model_dump(mode="json"),
+            "stages": {name: asdict(record) for name, record in self.stages.items()},
+        }
+        return json.dumps(document, indent=2, sort_keys=True) + "\n"
+
+    @staticmethod
+    def from_json(text: str) -> Manifest:
+        document = json.loads(text)
+        if document["schema_version"] != SCHEMA_VERSION:
+            raise ValueError(f"schema version {document['schema_version']}, this adcbf reads {SCHEMA_VERSION}")
+        source = document["source"]
+        return Manifest(
+            source=Source(source["path"], source["sha256"], tuple(SourceFile(**f) for f in source["files"])),
+            selection=document["selection"],
+            config=Config.model_validate(document["config"]),
+            stages={
+                name: StageRecord(**{**record, "losses": [Loss(**loss) for loss in record["losses"]]})
+                for name, record in document["stages"].items()
+            },
+        )
+
+
+class RunFolder:
+    """One run's output folder."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @staticmethod
+    def is_one(path: Path) -> bool:
+        return (path / MANIFEST).is_file()
+
+    def table(self, name: str) -> Path:
+        return self.path / f"{name}.parquet"
+
+    def manifest(self) -> Manifest:
+        """What the folder says of itself; AdcbfError if it says nothing intelligible."""
+        path = self.path / MANIFEST
+        try:
+            return Manifest.from_json(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            raise AdcbfError(f"{self.path}: not a run folder (no {MANIFEST}); run a stage on a log first") from None
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            reason = str(error).splitlines()[0]
+            raise AdcbfError(f"{path}: unreadable ({reason}); remove the folder and run again") from None
+
+    def write_manifest(self, manifest: Manifest) -> None:
+        write_text_atomically(self.path / MANIFEST, manifest.to_json())
+
+    def has_valid(self, stage: str, key: str) -> bool:
+        """Whether this stage's tables are whole and were made under `key`."""
+        if not RunFolder.is_one(self.path):
+            return False
+        record = self.manifest().stages.get(stage)
+        if record is None or record.key != key:
+            return False
+        return all((table_metadata(self.table(name)) or {}).get("key") == key for name in TABLES[stage])
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Creates the folder and holds it for writing; a second writer gets an error at once. The
+        lock ends with the process, however it ends."""
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except (FileExistsError, NotADirectoryError):
+            raise AdcbfError(f"{self.path}: is in the way, not a folder; choose another with -o") from None
+        with (self.path / ".lock").open("w") as handle:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise AdcbfError(f"{self.path}: another adcbf is writing here; wait, or choose another -o") from None
+            remove_leftovers(self.path)
+            yield
+
+
+def stage_keys(source_sha256: str, config: Config, calibration: str | None) -> dict[str, str]:
+    """Each stage's content key: everything its output depends on, hashed.
+
+    calibration: the calibration file's text where prediction reads one.
+    """
+    parts: dict[str, list[Any]] = {
+        "cluster": [source_sha256, config.read.model_dump(mode="json"), config.perception.model_dump(mode="json")],
+        "track": [config.tracking.model_dump(mode="json")],
+        "predict": [config.prediction.model_dump(mode="json"), calibration],
+    }
+    keys: dict[str, str] = {}
+    upstream = f"{SCHEMA_VERSION} {code_version()}"
+    for stage in STAGES:
+        text = json.dumps([upstream, stage, parts[stage]], sort_keys=True)
+        upstream = keys[stage] = hashlib.sha256(text.encode()).hexdigest()
+    return keys
+
+
+@cache
+def code_version() -> str:
+    """The package's version and a hash of the sources that outputs depend on."""
+    root = Path(adcbf_cli.__file__).parent
+    digest = hashlib.sha256()
+    for folder in ("core", "io"):
+        for path in sorted((root / folder).rglob("*.py")):
+            digest.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes())
+    return f"{adcbf_cli.__version__}+{digest.hexdigest()[:16]}"
+
+
+def identify_source(path: Path, files: tuple[Path, ...]) -> Source:
+    """Hashes the log's files. The hash is over names and contents, not over where they lie."""
+    described = []
+    for file in files:
+        with file.open("rb") as handle:
+            digest = hashlib.file_digest(handle, "sha256").hexdigest()
+        described.append(SourceFile(file.name, file.stat().st_size, digest))
+    text = json.dumps([[f.name, f.sha256] for f in described])
+    return Source(str(path), hashlib.sha256(text.encode()).hexdigest(), tuple(described))
