@@ -41,10 +41,14 @@ class PerceptionConfig(StageConfig):
         4.0, description="Half the side of the square kept around the sensor; 4.0 is the paper's 8 x 8 m."
     )
     min_range_m: NonNegative = Field(0.3, description="Closer points are the robot itself.")
-    min_height_m: float = Field(-3.0, description="Lower points (levelled sensor frame) are dropped.")
-    max_height_m: float = Field(2.5, description="Higher points (levelled sensor frame) are dropped: overhangs.")
-    smoothing: bool = Field(True, description="Statistical outlier removal.")
-    smoothing_neighbours: Annotated[int, Field(ge=1)] = 8
+    max_height_m: float = Field(
+        2.5,
+        description="Points higher above the local ground are overhangs, dropped (ground 'none': above the sensor).",
+    )
+    smoothing: bool = Field(True, description="Statistical outlier removal, on the grid cells.")
+    smoothing_neighbours: Annotated[int, Field(ge=1)] = Field(
+        8, description="Neighbours whose mean distance is judged; never more than a smallest cluster has."
+    )
     smoothing_std_ratio: Positive = 2.0
     ground: Literal["patchwork", "plane", "band", "none"] = Field(
         "patchwork", description="Ground removal for 3-D LiDARs."
@@ -52,15 +56,33 @@ class PerceptionConfig(StageConfig):
     sensor_height_m: Positive | None = Field(
         None, description="LiDAR above ground; null: estimated from the log's first scans."
     )
-    ground_clearance_m: NonNegative = Field(
-        0.15, description="Points this near the ground are ground ('plane', 'band')."
-    )
+    ground_clearance_m: NonNegative = Field(0.15, description="Points this little above the local ground are ground.")
     cell_m: Positive = Field(0.1, description="Side of the grid cells that thin the cloud.")
     clusterer: Literal["hdbscan", "dbscan"] = "hdbscan"
-    min_cluster_size: Annotated[int, Field(ge=2)] = 5
-    min_samples: Annotated[int, Field(ge=1)] = 3
+    min_cluster_size: Annotated[int, Field(ge=2)] = Field(5, description="Grid cells of the smallest obstacle.")
+    planar_min_cluster_size: Annotated[int, Field(ge=2)] = Field(
+        3, description="The same for a 2-D laser, where a leg is three or four beams."
+    )
+    min_samples: Annotated[int, Field(ge=1)] = Field(
+        3, description="A point's density is the distance to this neighbour, itself counted."
+    )
+    min_gap_m: NonNegative = Field(
+        0.4, description="HDBSCAN: nearer clusters stay one, as two legs or a car's parts do."
+    )
+    max_gap_m: Positive = Field(1.0, description="HDBSCAN: an obstacle never spans a wider gap.")
     dbscan_eps_m: Positive = 0.5
-    max_radius_m: Positive = Field(1.0, description="Clusters with a larger circle are split along their length.")
+    centre: Literal["auto", "circle", "box", "mean"] = Field(
+        "auto", description="Obstacle centre: fitted circle, fitted rectangle, mean, or circle where one fits else box."
+    )
+    range_noise_m: Positive = Field(
+        0.03, description="The LiDAR's range noise: residuals of this size do not speak against a circle."
+    )
+    max_radius_m: Positive = Field(
+        1.0, description="Over-long clusters are split into circles no larger; compact ones may exceed it."
+    )
+    max_length_m: Positive = Field(
+        6.0, description="Clusters up to this length stay whole unless they are thin as a wall: cars, groups."
+    )
     point_labels: bool = Field(False, description="Also keep each point's cluster (table `points`).")
 
 
@@ -93,12 +115,36 @@ class PredictionConfig(StageConfig):
 
 
 class EvaluationConfig(StageConfig):
-    """How results are scored."""
+    """How results are scored. docs/metrics.md says how each setting enters a metric."""
 
-    range_m: Positive = Field(
-        20.0, description="Ground truth and tracks farther than this from the sensor are not scored."
+    range_m: Positive | None = Field(
+        None,
+        description="Objects and tracks farther than this from the sensor are not scored; "
+        "null: as far as perception looked.",
     )
-    match_m: Positive = Field(1.0, description="Centre distance up to which a track may match an object.")
+    match_m: Positive = Field(1.0, description="Centre distance up to which a cluster or track may match an object.")
+    box_margin_m: NonNegative = Field(
+        0.25, description="A centre inside the object's box, enlarged by this on every side, matches too."
+    )
+    hota_zero_m: Positive = Field(2.0, description="Centre distance at which HOTA's similarity is zero.")
+    horizons_s: tuple[Positive, ...] = Field((1.0, 2.0, 3.0), description="Horizons that get metrics of their own.")
+    max_gap_s: Positive = Field(0.5, description="Positions farther apart in time than this are not interpolated.")
+    background_classes: tuple[str, ...] = Field(
+        ("tree", "rock", "wall", "box", "pole", "building", "background"),
+        description="Labelled classes that count for detection but not for tracking and prediction: scenery.",
+    )
+    truth_fov_deg: tuple[float, float] | None = Field(
+        None,
+        description="Azimuths in the sensor's frame, start and end counter-clockwise, that were labelled; "
+        "null: what the source says.",
+    )
+    truth_exhaustive: bool | None = Field(
+        None,
+        description="Whether everything that moves there is labelled, so that a moving track without a label is "
+        "false; null: what the source says (label files: yes, a single object's poses: no).",
+    )
+    truth_first_frame: int = Field(0, description="KITTI labels: the label frame of the log's first scan.")
+    bootstrap_block_s: Positive = Field(5.0, description="Length of the time blocks that intervals are drawn over.")
 
 
 class Config(StageConfig):
