@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from adcbf_cli.core.types import Notes
+if TYPE_CHECKING:
+    from adcbf_cli.core.types import Notes
 
 T = TypeVar("T")
 

@@ -36,6 +36,9 @@ TABLES: dict[str, tuple[str, ...]] = {
     "predict": ("predictions",),
 }
 
+OPTIONAL_TABLES: dict[str, tuple[str, ...]] = {"cluster": ("points",), "track": (), "predict": ()}
+"""Tables that a setting asks for."""
+
 
 @dataclass(frozen=True)
 class SourceFile:
@@ -48,7 +51,7 @@ class SourceFile:
 
 @dataclass(frozen=True)
 class Source:
-    """The log a run was made from: its path as given, and the hash over its files."""
+    """The log a run was made from: its path relative to the run folder, and the hash over its files."""
 
     path: str
     sha256: str
@@ -188,7 +191,7 @@ def code_version() -> str:
     return f"{adcbf_cli.__version__}+{digest.hexdigest()[:16]}"
 
 
-def identify_source(path: Path, files: tuple[Path, ...]) -> Source:
+def identify_source(path: str, files: tuple[Path, ...]) -> Source:
     """Hashes the log's files. The hash is over names and contents, not over where they lie."""
     described = []
     for file in files:
@@ -196,4 +199,4 @@ def identify_source(path: Path, files: tuple[Path, ...]) -> Source:
             digest = hashlib.file_digest(handle, "sha256").hexdigest()
         described.append(SourceFile(file.name, file.stat().st_size, digest))
     text = json.dumps([[f.name, f.sha256] for f in described])
-    return Source(str(path), hashlib.sha256(text.encode()).hexdigest(), tuple(described))
+    return Source(path, hashlib.sha256(text.encode()).hexdigest(), tuple(described))

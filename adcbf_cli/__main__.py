@@ -1,0 +1,5 @@
+"""`python -m adcbf_cli` is `adcbf`."""
+
+from adcbf_cli.app import main
+
+main()

@@ -1,0 +1,70 @@
+"""The `adcbf` command: its subcommands, and how errors become one line and an exit code.
+
+Command modules import nothing heavy at their top, so that `adcbf --help` answers at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+import adcbf_cli
+from adcbf_cli.commands import cluster, config, evaluate, info, predict, run, simulate, track
+from adcbf_cli.core.errors import EXIT_FAILED, AdcbfError
+
+app = typer.Typer(
+    name="adcbf",
+    no_args_is_help=True,
+    rich_markup_mode="markdown",
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="""Recorded robot logs in, obstacles out: what the LiDAR saw, where it was going, how sure that is.
+
+A log is an MCAP file, a ROS 1 bag, a rosbag2 folder or a folder of PCD scans. Results go to a run
+folder of Parquet tables; numbers go to stdout, everything else to stderr.
+
+Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done but part of the input was lost, 4 done but a
+threshold was missed.""",
+)
+
+for module in (info, run, cluster, track, predict, evaluate, simulate):
+    app.command(module.__name__.rpartition(".")[2])(getattr(module, module.__name__.rpartition(".")[2]))
+app.add_typer(config.app, name="config")
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        print(f"adcbf {adcbf_cli.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _global_options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    pass
+
+
+def main() -> None:
+    """The console entry point."""
+    try:
+        app()
+    except AdcbfError as error:
+        print(f"adcbf: error: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except BrokenPipeError:
+        # The reader of our output (head, less) has gone: nothing is wrong, and nobody listens.
+        sys.stderr.close()
+        sys.exit(EXIT_FAILED)
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"adcbf: error: {where}{error.strerror or error}", file=sys.stderr)
+        sys.exit(EXIT_FAILED)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,259 @@
+"""Runs pipeline stages on a log or a run folder, and keeps what they give in the run folder.
+
+One pass over the frames does everything that is asked for and not there yet:
+
+    log -> frames -> clusters -> tracks -> predictions
+                        |           |          |
+                      table       table      table
+
+A stage whose valid output is already in the folder is read back instead of computed.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from adcbf_cli.commands.options import Shared
+from adcbf_cli.commands.terminal import progress
+from adcbf_cli.core.config import Config
+from adcbf_cli.core.errors import AdcbfError, UsageError
+from adcbf_cli.core.timing import RecordingTimer
+from adcbf_cli.core.types import Clusters, Frame, Notes, Predictions, Tracks
+from adcbf_cli.io import tables
+from adcbf_cli.io.run_folder import (
+    OPTIONAL_TABLES,
+    STAGES,
+    TABLES,
+    Manifest,
+    RunFolder,
+    Source,
+    StageRecord,
+    code_version,
+    identify_source,
+    stage_keys,
+)
+from adcbf_cli.io.settings import resolve_config
+from adcbf_cli.io.tables import TableWriter
+
+if TYPE_CHECKING:
+    from adcbf_cli.io.frame_reader import FrameReader
+
+Record = TypeVar("Record", Clusters, Tracks, Predictions)
+
+
+REPORTS = ("report.json", "report.md")
+
+
+@dataclass(frozen=True)
+class Job:
+    """What to run: the log, the run folder, the settings, and the calibration file's text."""
+
+    log: Path
+    folder: RunFolder
+    source: Source
+    config: Config
+    calibration: str | None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a job: the folder, its manifest, the stages that were computed in this call
+    (the others were reused), and the notes of every stage up to the one asked for."""
+
+    folder: RunFolder
+    manifest: Manifest
+    computed: tuple[str, ...]
+    notes: Notes
+
+
+def plan_job(shared: Shared, overrides: dict[str, Any] | None = None, calibration_file: Path | None = None) -> Job:
+    """Reads the shared options: a log starts from the defaults, a run folder from its own settings."""
+    overrides = {**shared.overrides(), **(overrides or {})}
+    calibration = None if calibration_file is None else read_small_text(calibration_file)
+    if RunFolder.is_one(shared.source):
+        if shared.output is not None and shared.output.resolve() != shared.source.resolve():
+            raise UsageError("-o goes with a log; a run folder is worked on where it is")
+        folder = RunFolder(shared.source)
+        manifest = folder.manifest()
+        config = resolve_config(manifest.config, shared.config, shared.settings or (), overrides)
+        return Job(folder.path / manifest.source.path, folder, manifest.source, config, calibration)
+
+    from adcbf_cli.io.logs import log_files
+
+    config = resolve_config(Config(), shared.config, shared.settings or (), overrides)
+    files = log_files(shared.source)
+    folder = RunFolder(shared.output or Path(f"{log_stem(shared.source)}.adcbf"))
+    source = identify_source(os.path.relpath(shared.source, folder.path), files)
+    return Job(shared.source, folder, source, config, calibration)
+
+
+def log_stem(log: Path) -> str:
+    """The name that a log's run folder is made from: the file's without its suffix."""
+    resolved = log.resolve()
+    return resolved.name if resolved.is_dir() else resolved.stem
+
+
+def read_small_text(path: Path) -> str:
+    """A file that the user names beside the log (settings, calibration), as text."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not a text file"
+        raise UsageError(f"{path}: cannot be read ({reason})") from None
+
+
+def run_stages(job: Job, upto: str, force: bool = False) -> Outcome:
+    """Makes sure that the run folder holds valid output of every stage up to `upto`; what is
+    there and valid is reused, unless `force`."""
+    keys = stage_keys(job.source.sha256, job.config, job.calibration)
+    wanted = STAGES[: STAGES.index(upto) + 1]
+    with job.folder.locked():
+        valid = [stage for stage in STAGES if job.folder.has_valid(stage, keys[stage])]
+        reusable = [] if force else [s for s, v in zip(wanted, valid, strict=False) if s == v]
+        todo = wanted[len(reusable) :]
+        manifest = _manifest_so_far(job, valid)
+        if todo:
+            _remove_outdated(job.folder, valid)
+            manifest = _compute(job, manifest, keys, todo)
+        notes = _together([manifest.stages[stage] for stage in wanted])
+        return Outcome(job.folder, manifest, todo, notes)
+
+
+def _manifest_so_far(job: Job, valid: list[str]) -> Manifest:
+    """The folder's manifest with the stages that are still valid, or a new one."""
+    if not RunFolder.is_one(job.folder.path):
+        return Manifest(job.source, {}, job.config, {})
+    old = job.folder.manifest()
+    return replace(old, source=job.source, config=job.config, stages={name: old.stages[name] for name in valid})
+
+
+def _remove_outdated(folder: RunFolder, valid: list[str]) -> None:
+    """Removes tables that the settings in force no longer give, and reports on them: a script
+    that opens a file by its name must not meet an older run's."""
+    outdated = [name for stage in STAGES if stage not in valid for name in (*TABLES[stage], *OPTIONAL_TABLES[stage])]
+    for path in [*map(folder.table, [*outdated, "timings"]), *(folder.path / name for name in REPORTS)]:
+        path.unlink(missing_ok=True)
+
+
+def _compute(job: Job, manifest: Manifest, keys: dict[str, str], todo: tuple[str, ...]) -> Manifest:
+    """Runs the stages `todo` in one pass and writes their tables, then the manifest."""
+    notes = {stage: Notes() for stage in todo}
+    timer = RecordingTimer()
+    config = job.config
+    with ExitStack() as stack:
+        selection = manifest.selection
+        total: int | None = manifest.stages["cluster"].rows["frames"] if "cluster" in manifest.stages else None
+        records: Any
+        if todo[0] == "cluster":
+            from adcbf_cli.core.perception.pipeline import cluster_frames
+
+            reader = stack.enter_context(_open_reader(job, notes["cluster"]))
+            selection, total = asdict(reader.selection), reader.expected_frames
+            records = cluster_frames(_timed(reader, timer), config.perception, notes["cluster"], timer)
+        elif todo[0] == "track":
+            records = tables.read_clusters(job.folder.path)
+        else:
+            records = tables.read_tracks(job.folder.path)
+
+        writers = _open_writers(job, keys, todo, selection, stack)
+        if "cluster" in todo:
+            records = _keep_clusters(records, writers)
+        if "track" in todo:
+            from adcbf_cli.core.tracking.tracker import track_clusters
+
+            tracks = track_clusters(records, config.tracking, notes["track"], timer)
+            records = _keep(tracks, tables.track_columns, writers["tracks"])
+        if "predict" in todo:
+            predictions = _predict(job, records, notes["predict"], timer)
+            records = _keep(predictions, tables.prediction_columns, writers["predictions"])
+        for record in progress(records, total, " + ".join(todo)):
+            writers["timings"].write(tables.timing_columns(record.stamp_ns, record.frame_index, timer.take()))
+
+    stages = dict(manifest.stages)
+    for stage in todo:
+        written = {name: writers[name].rows for name in (*TABLES[stage], *OPTIONAL_TABLES[stage]) if name in writers}
+        noted = notes[stage]
+        stages[stage] = StageRecord(keys[stage], written, noted.warnings, noted.losses, noted.counters)
+    finished = replace(manifest, selection=selection, stages=stages)
+    job.folder.write_manifest(finished)
+    return finished
+
+
+def _open_reader(job: Job, notes: Notes) -> FrameReader:
+    """Opens the log for reading, if it is still the one that the run folder was made from."""
+    from adcbf_cli.io.frame_reader import FrameReader
+    from adcbf_cli.io.logs import log_files
+
+    if not job.log.exists():
+        raise AdcbfError(f"{job.log}: this log is gone, and the run folder lacks what would be computed from it")
+    if identify_source(job.source.path, log_files(job.log)).sha256 != job.source.sha256:
+        raise AdcbfError(f"{job.log}: has changed since {job.folder.path} was made; run on the log itself")
+    return FrameReader(job.log, job.config.read, notes)
+
+
+def _open_writers(
+    job: Job, keys: dict[str, str], todo: tuple[str, ...], selection: dict[str, Any], stack: ExitStack
+) -> dict[str, TableWriter]:
+    provenance = {
+        "source": {"name": Path(job.source.path).name, "sha256": job.source.sha256},
+        "selection": selection,
+        "config": job.config.model_dump(mode="json"),
+        "adcbf": code_version(),
+    }
+    names = {name: stage for stage in todo for name in TABLES[stage]}
+    if job.config.perception.point_labels and "cluster" in todo:
+        names["points"] = "cluster"
+    names["timings"] = todo[-1]
+    return {
+        name: stack.enter_context(TableWriter(job.folder.table(name), name, {**provenance, "key": keys[stage]}))
+        for name, stage in names.items()
+    }
+
+
+def _predict(job: Job, tracks: Iterable[Tracks], notes: Notes, timer: RecordingTimer) -> Iterator[Predictions]:
+    from adcbf_cli.core.prediction.predictor import predict_tracks
+
+    yield from predict_tracks(tracks, job.config.prediction, job.config.tracking, notes, timer)
+
+
+def _timed(frames: Iterable[Frame], timer: RecordingTimer) -> Iterator[Frame]:
+    """Books the time that the log takes to deliver each frame under `read`."""
+    source = iter(frames)
+    while True:
+        with timer("read"):
+            frame = next(source, None)
+        if frame is None:
+            return
+        yield frame
+
+
+def _keep_clusters(records: Iterable[Clusters], writers: dict[str, TableWriter]) -> Iterator[Clusters]:
+    for record in records:
+        writers["frames"].write(tables.frame_columns(record))
+        writers["clusters"].write(tables.cluster_columns(record))
+        if "points" in writers:
+            writers["points"].write(tables.point_columns(record))
+        yield record
+
+
+def _keep(records: Iterable[Record], columns: Callable[[Record], Any], writer: TableWriter) -> Iterator[Record]:
+    for record in records:
+        writer.write(columns(record))
+        yield record
+
+
+def _together(records: list[StageRecord]) -> Notes:
+    """The notes of several stages as one."""
+    together = Notes()
+    for record in records:
+        for warning in record.warnings:
+            together.warn(warning)
+        together.losses.extend(record.losses)
+        for name, number in record.counters.items():
+            together.count(name, number)
+    return together
