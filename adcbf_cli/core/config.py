@@ -6,9 +6,9 @@ schema` shows; `adcbf config dump` prints the values in force.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -99,10 +99,51 @@ class TrackingConfig(StageConfig):
     sigma_range_m: Positive = 0.05
     sigma_azimuth_rad: Positive = 0.01
     sigma_elevation_rad: Positive = 0.02
-    sigma_accel_mps2: Positive = Field(1.0, description="Process noise: white acceleration (cv, ct).")
-    gate_probability: Probability = Field(0.99, description="Chi-square gate for association.")
+    sigma_extent_ratio: NonNegative = Field(
+        0.1, description="Measurement noise of a centre, as a fraction of the obstacle's radius (half height)."
+    )
+    adaptive_noise: bool = Field(
+        True, description="Scale each track's measurement noise by what its innovations show (1/5 to 5 times)."
+    )
+    sigma_accel_mps2: Positive = Field(
+        1.0, description="Process noise of a manoeuvre (cv, ct): rms change of velocity over one second."
+    )
+    sigma_jerk_mps3: Positive = Field(1.0, description="The same for ca: rms change of acceleration over one second.")
+    sigma_turn_radps2: Positive = Field(0.3, description="The same for ct's turn rate, over one second.")
+    vertical_ratio: Annotated[float, Field(gt=0, le=1)] = Field(
+        0.2, description="Vertical process noise, as a fraction of the horizontal one."
+    )
+    cruise_ratio: Annotated[float, Field(gt=0, le=1)] = Field(
+        0.05,
+        description="Process noise of an obstacle that keeps its course, as a fraction of a manoeuvre's; "
+        "1: one noise level for all.",
+    )
+    cruise_s: Positive = Field(10.0, description="Mean time between manoeuvres.")
+    manoeuvre_s: Positive = Field(1.0, description="Mean time that a manoeuvre lasts.")
+    sigma_speed_mps: Positive = Field(5.0, description="Speed that a new obstacle may have, one sigma per axis.")
+    gate_probability: Probability = Field(0.999, description="Chi-square gate for association.")
+    size_ratio: Annotated[float, Field(gt=1)] = Field(
+        3.0, description="A cluster whose radius differs from the track's by more than this factor ..."
+    )
+    size_difference_m: NonNegative = Field(0.5, description="... and by more than this is another obstacle.")
     confirm_hits: Annotated[int, Field(ge=1)] = 3
+    confirm_window: Annotated[int, Field(ge=1)] = Field(
+        5, description="A track is confirmed by confirm_hits among its first confirm_window frames."
+    )
     max_coast_s: Positive = 1.0
+    static_window_s: Positive = Field(1.5, description="Time over which motion is looked for.")
+    static_speed_mps: Positive = Field(0.1, description="Slower obstacles stand still.")
+    structure_length_m: Positive = Field(
+        6.0, description="A split cluster longer than this is a wall or hedge: its pieces stand still."
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.filter == "kf" and self.model == "ct":
+            raise ValueError("filter 'kf' needs a linear motion model; take 'ukf' or 'ekf' with model 'ct'")
+        if self.confirm_window < self.confirm_hits:
+            raise ValueError("confirm_window is smaller than confirm_hits")
+        return self
 
 
 class PredictionConfig(StageConfig):
@@ -112,6 +153,9 @@ class PredictionConfig(StageConfig):
     step_s: Positive = 0.1
     probability: Probability = Field(0.95, description="Coverage of the ellipse and of the conformal radius.")
     calibration: Literal["none", "past", "file"] = Field("past", description="Where conformal residuals come from.")
+    calibration_window: Annotated[int, Field(ge=10, le=1_000_000)] = Field(
+        2000, description="Residuals kept a step, the newest, for calibration from the past."
+    )
 
 
 class EvaluationConfig(StageConfig):

@@ -130,6 +130,8 @@ class Tracks:
     covariance: (n, d, d), symmetric, positive definite.
     cluster_id: (n,) the cluster that updated it in this frame, NO_ID while it coasts.
     nis: (n,) normalised innovation squared of this update, NaN without one.
+    manoeuvre: (n,) probability that the track is manoeuvring rather than keeping its course, or
+        None where that is not known.
     """
 
     frame_index: int
@@ -148,6 +150,7 @@ class Tracks:
     hits: IntArray
     misses: IntArray
     nis: FloatArray
+    manoeuvre: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.track_id)
@@ -182,6 +185,18 @@ class Predictions:
 
 
 @dataclass(frozen=True, slots=True)
+class IgnoredSectors:
+    """Where a labelled frame says "do not care": k azimuth sectors in the sensor's frame.
+
+    stamp_ns: (k,) int64; start_rad, end_rad: (k,), from start counter-clockwise to end.
+    """
+
+    stamp_ns: IntArray
+    start_rad: FloatArray
+    end_rad: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
 class Truth:
     """Ground truth: m labelled positions, sorted by time.
 
@@ -190,6 +205,8 @@ class Truth:
     length_m, width_m, height_m, yaw_rad: (m,), NaN where the source does not tell.
     labelled_fov_rad: (start, end) azimuths in the sensor's frame that were labelled at all, or
         None for all around; what lies outside is neither right nor wrong.
+    ignored: sectors within it that were not labelled, by stamp.
+    exhaustive: whether everything that moves there is labelled; False for the poses of one object.
     """
 
     frame: str
@@ -203,6 +220,8 @@ class Truth:
     height_m: FloatArray
     labelled_fov_rad: tuple[float, float] | None = None
     source: str = ""
+    ignored: IgnoredSectors | None = None
+    exhaustive: bool = True
 
     def __len__(self) -> int:
         return len(self.stamp_ns)
