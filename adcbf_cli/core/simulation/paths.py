@@ -1,0 +1,154 @@
+"""Scripted paths: where something on a path is at a time, which way it faces, how fast it goes.
+
+All paths but the circle are polylines with a schedule: arc length as a piecewise linear function
+of time. A smooth path is a dense polyline along a Catmull-Rom curve.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adcbf_cli.core.simulation.scenario import CirclePath, LinePath, StandPath, WaypointPath
+from adcbf_cli.core.types import FloatArray
+
+CURVE_STEPS = 64
+"""Polyline segments that stand for one leg of a smooth path: 1 % of a metre's error on a 10 m leg."""
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Planar motion at n times: x_m, y_m, yaw_rad (facing), vx_mps, vy_mps (world), travelled_m."""
+
+    x_m: FloatArray
+    y_m: FloatArray
+    yaw_rad: FloatArray
+    vx_mps: FloatArray
+    vy_mps: FloatArray
+    travelled_m: FloatArray
+
+
+AnyPath = StandPath | LinePath | WaypointPath | CirclePath
+
+
+def motion_along(path: AnyPath, time_s: FloatArray) -> Motion:
+    """The motion along a path at (n,) times from the scenario's start; before a path begins and after
+    it ends, its mover stands, facing the way it is about to go or last went."""
+    if isinstance(path, CirclePath):
+        return _circle(path, time_s)
+    if isinstance(path, StandPath):
+        return _stand(path, time_s)
+    return _schedule(path).at(time_s)
+
+
+def _stand(path: StandPath, time_s: FloatArray) -> Motion:
+    zero = np.zeros_like(time_s)
+    return Motion(zero + path.at_m[0], zero + path.at_m[1], zero + np.deg2rad(path.yaw_deg), zero, zero, zero)
+
+
+def _circle(path: CirclePath, time_s: FloatArray) -> Motion:
+    """Equation 11; its speed is a constant 2 pi |w| A."""
+    rate = 2 * np.pi * path.frequency_hz
+    angle = rate * time_s + np.deg2rad(path.start_angle_deg)
+    sin, cos = np.sin(angle), np.cos(angle)
+    vx, vy = -path.radius_m * rate * cos, path.radius_m * rate * sin
+    return Motion(
+        x_m=path.centre_m[0] - path.radius_m * sin,
+        y_m=path.centre_m[1] - path.radius_m * cos,
+        yaw_rad=np.arctan2(vy, vx),
+        vx_mps=vx,
+        vy_mps=vy,
+        travelled_m=abs(rate) * path.radius_m * time_s,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Schedule:
+    """A polyline with arc length `length_m` at its k vertices `points_m` (k, 2) and headings there,
+    and a schedule: arc length `reached_m` at times `time_s`.
+
+    turns: headings turn between vertices (smooth), or hold along each segment (sharp corners).
+    """
+
+    points_m: FloatArray
+    length_m: FloatArray
+    heading_rad: FloatArray
+    time_s: FloatArray
+    reached_m: FloatArray
+    turns: bool
+
+    def at(self, time_s: FloatArray) -> Motion:
+        travelled = np.interp(time_s, self.time_s, self.reached_m)
+        leg = np.clip(np.searchsorted(self.time_s, time_s, side="right") - 1, 0, len(self.time_s) - 2)
+        rate = np.diff(self.reached_m) / np.diff(self.time_s)
+        moving = (time_s >= self.time_s[0]) & (time_s < self.time_s[-1])
+        speed = np.where(moving, rate[leg], 0.0)
+        segment = np.clip(np.searchsorted(self.length_m, travelled, side="right") - 1, 0, len(self.length_m) - 2)
+        between = np.interp(travelled, self.length_m, self.heading_rad) if self.turns else None
+        heading = self.heading_rad[segment] if between is None else between
+        return Motion(
+            x_m=np.interp(travelled, self.length_m, self.points_m[:, 0]),
+            y_m=np.interp(travelled, self.length_m, self.points_m[:, 1]),
+            yaw_rad=heading,
+            vx_mps=speed * np.cos(heading),
+            vy_mps=speed * np.sin(heading),
+            travelled_m=travelled,
+        )
+
+
+def _schedule(path: LinePath | WaypointPath) -> _Schedule:
+    if isinstance(path, LinePath):
+        corners = np.array([path.from_m, path.to_m])
+        smooth = False
+    else:
+        corners = np.array(path.points_m)
+        smooth = path.smooth
+    points = _catmull_rom(corners) if smooth else corners
+    steps = np.diff(points, axis=0)
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(steps[:, 0], steps[:, 1]))])
+    at_corner = length[::CURVE_STEPS] if smooth else length
+    segment_heading = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
+    if smooth:
+        middle = (segment_heading[:-1] + segment_heading[1:]) / 2
+        heading = np.concatenate([segment_heading[:1], middle, segment_heading[-1:]])
+    else:
+        heading = segment_heading
+    times, reached = _timing(path, at_corner)
+    return _Schedule(points, length, heading, times, reached, smooth)
+
+
+def _timing(path: LinePath | WaypointPath, at_corner_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """When each corner is reached, and left again where there is a pause."""
+    if isinstance(path, WaypointPath) and path.times_s is not None:
+        return np.array(path.times_s), at_corner_m
+    assert path.speed_mps is not None
+    pauses = path.pauses_s if isinstance(path, WaypointPath) and path.pauses_s else (0.0,) * len(at_corner_m)
+    times: list[float] = []
+    reached: list[float] = []
+    clock = path.start_s
+    for index, (length, pause) in enumerate(zip(at_corner_m, pauses, strict=True)):
+        if index:
+            clock += (length - at_corner_m[index - 1]) / path.speed_mps
+        times.append(clock)
+        reached.append(float(length))
+        if pause:
+            clock += pause
+            times.append(clock)
+            reached.append(float(length))
+    return np.array(times), np.array(reached)
+
+
+def _catmull_rom(corners: FloatArray) -> FloatArray:
+    """(k, 2) corners -> a dense polyline through them: a uniform Catmull-Rom spline, whose end
+    tangents come from mirrored end points. Every CURVE_STEPS-th vertex is a corner."""
+    before = 2 * corners[:1] - corners[1:2]
+    after = 2 * corners[-1:] - corners[-2:-1]
+    p = np.concatenate([before, corners, after])
+    s = (np.arange(CURVE_STEPS) / CURVE_STEPS)[:, None]
+    legs = []
+    for p0, p1, p2, p3 in zip(p[:-3], p[1:-2], p[2:-1], p[3:], strict=True):
+        quadratic = 2 * p0 - 5 * p1 + 4 * p2 - p3
+        cubic = -p0 + 3 * p1 - 3 * p2 + p3
+        legs.append(0.5 * (2 * p1 + (p2 - p0) * s + quadratic * s**2 + cubic * s**3))
+    return np.concatenate([*legs, corners[-1:]])
