@@ -1,0 +1,200 @@
+"""Tracking against truth: errors of matched tracks, the clustering-centre bias in them, and how
+honest the filter's covariance is.
+
+A LiDAR sees one side of a thing, so the centre of what it sees lies nearer than the thing's
+centre. That bias is no tracking error and does not average out; it is measured here per object,
+along and across the line of sight and in the object's body axes, and errors are reported before
+and after its removal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from adcbf_cli.core.evaluation.blocks import BlockSums
+from adcbf_cli.core.evaluation.formulas import (
+    COVERAGE_LEVELS,
+    bearing,
+    covered,
+    ellipse_threshold,
+    mahalanobis2,
+    nees_bounds,
+    rotate,
+)
+from adcbf_cli.core.evaluation.report import Metric
+from adcbf_cli.core.evaluation.scene import FrameObjects, Scene
+from adcbf_cli.core.types import FloatArray, IntArray, Tracks
+
+SAMPLE = "matched object and frame"
+
+
+@dataclass(frozen=True, slots=True)
+class Bias:
+    """Mean errors of one object's tracks, metres: along the line of sight (positive is farther from
+    the sensor) and across it (positive is to the left); in the object's axes, NaN where its yaw is
+    unknown."""
+
+    sight_m: FloatArray
+    body_m: FloatArray
+
+
+class Accuracy:
+    """Matched pairs of every frame, kept as compact arrays: `add`, then `finish`, then the results."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._parts: list[tuple[Any, ...]] = []
+        self.biases: dict[int, Bias] = {}
+
+    def add(self, objects: FrameObjects, tracks: Tracks, rows: IntArray, columns: IntArray) -> None:
+        """One frame's pairs: object rows[i] is track columns[i]."""
+        true_m = objects.position_m[rows, :2]
+        sensor_m = np.broadcast_to(tracks.world_from_sensor[:2, 3], true_m.shape)
+        self._parts.append(
+            (
+                objects.object_id[rows],
+                tracks.track_id[columns],
+                self._scene.blocks(objects.object_id[rows], tracks.stamp_ns),
+                tracks.state[columns, :2] - true_m,
+                tracks.covariance[columns][:, :2, :2],
+                bearing(sensor_m, true_m),
+                objects.yaw_rad[rows],
+            )
+        )
+
+    def finish(self) -> None:
+        """Joins the frames and measures each object's bias."""
+        if self._parts:
+            joined = [np.concatenate(column) for column in zip(*self._parts, strict=True)]
+        else:
+            shapes: list[tuple[int, ...]] = [(0,), (0,), (0,), (0, 2), (0, 2, 2), (0,), (0,)]
+            joined = [np.zeros(s, dtype=np.int64 if i < 3 else np.float64) for i, s in enumerate(shapes)]
+        self.object_id, self.track_id, self._blocks, self.error_m, self._cov, self._bearing, self._yaw = joined
+        self._sight = rotate(self.error_m, -self._bearing)
+        self._body = rotate(self.error_m, -self._yaw)
+        for i in np.unique(self.object_id).tolist():
+            mine = self.object_id == i
+            oriented = mine & np.isfinite(self._yaw)
+            body = self._body[oriented].mean(axis=0) if oriented.any() else np.full(2, np.nan)
+            self.biases[i] = Bias(self._sight[mine].mean(axis=0), body)
+
+    def corrected(self) -> dict[str, FloatArray]:
+        """Errors (k, 2) in world axes after removal of each object's mean: in the line of sight's
+        axes ("sight"), and in the object's ("body")."""
+        sight = self._table("sight_m")
+        body = self._table("body_m")
+        return {
+            "sight": self.error_m - rotate(sight, self._bearing),
+            "body": self.error_m - rotate(body, self._yaw),
+        }
+
+    def _table(self, name: str) -> FloatArray:
+        rows = [getattr(self.biases[i], name) for i in self.object_id.tolist()]
+        return np.array(rows).reshape(-1, 2)
+
+    def metrics(self) -> dict[str, Metric]:
+        sums = BlockSums()
+        errors = {"": self.error_m, **{f"{k}_corrected_": v for k, v in self.corrected().items()}}
+        for prefix, error in errors.items():
+            square = error**2
+            sums.add(
+                self._blocks, {f"{prefix}x": square[:, 0], f"{prefix}y": square[:, 1], f"{prefix}xy": square.sum(1)}
+            )
+        nees = mahalanobis2(self.error_m, self._cov)
+        sums.add(self._blocks, {"nees": nees, "sight_nees": mahalanobis2(errors["sight_corrected_"], self._cov)})
+        for level in COVERAGE_LEVELS:
+            sums.add(self._blocks, {f"{level}": covered(nees, ellipse_threshold(level))})
+        return {**self._rmse(sums), **self._consistency(sums), **self._bias_metrics()}
+
+    def _rmse(self, sums: BlockSums) -> dict[str, Metric]:
+        base = "root mean square of the track's centre minus the object's, all matched pairs of object and frame"
+        after = {
+            "": "",
+            "sight_corrected_": "; after removal of each object's mean error along and across the line of sight "
+            "(2 numbers an object, from these same samples)",
+            "body_corrected_": "; after removal of each object's mean error in its own axes (2 numbers an object, "
+            "from these same samples); objects of known yaw",
+        }
+        axes = {"x": ("rmse_{}x_m", ", along world x"), "y": ("rmse_{}y_m", ", along world y"), "xy": ("rmse_{}m", "")}
+        result = {}
+        for prefix, suffix in after.items():
+            for key, (name, axis) in axes.items():
+                mean = sums.mean(prefix + key)
+                result["tracking." + name.format(prefix)] = Metric(
+                    None if mean is None else float(np.sqrt(mean)),
+                    "m",
+                    sums.count(prefix + key),
+                    SAMPLE,
+                    base + axis + suffix,
+                    interval=sums.interval(prefix + key, np.sqrt),
+                )
+        return result
+
+    def _consistency(self, sums: BlockSums) -> dict[str, Metric]:
+        texts = {
+            "nees": "mean of e' P^-1 e over x and y; 2 for a consistent filter. Bounds hold for independent samples, "
+            "which neighbouring frames are not",
+            "sight_nees": "the same after removal of each object's mean error along and across the line of sight",
+        }
+        names = {"nees": "tracking.nees", "sight_nees": "tracking.nees_sight_corrected"}
+        result = {
+            name: Metric(
+                sums.mean(key),
+                "1",
+                sums.count(key),
+                SAMPLE,
+                texts[key],
+                interval=sums.interval(key, lambda means: means),
+                bounds=nees_bounds(sums.count(key)),
+            )
+            for key, name in names.items()
+        }
+        for level in COVERAGE_LEVELS:
+            result[f"tracking.coverage_{level * 100:g}"] = Metric(
+                sums.mean(f"{level}"),
+                "1",
+                sums.count(f"{level}"),
+                SAMPLE,
+                f"share of true centres within the track's {level:.0%} ellipse; {level:g} for a consistent filter",
+                interval=sums.interval(f"{level}", lambda means: means),
+            )
+        return result
+
+    def _bias_metrics(self) -> dict[str, Metric]:
+        oriented = self._body[np.isfinite(self._yaw)]
+        columns = {
+            "bias.along_m": (self._sight[:, 0], "along the line of sight; negative is towards the sensor"),
+            "bias.across_m": (self._sight[:, 1], "across the line of sight; positive is to its left"),
+            "bias.body_x_m": (oriented[:, 0], "along the object's own x axis; objects of known yaw"),
+            "bias.body_y_m": (oriented[:, 1], "along the object's own y axis; objects of known yaw"),
+        }
+        return {
+            name: Metric(
+                float(values.mean()) if len(values) else None,
+                "m",
+                len(values),
+                SAMPLE,
+                f"clustering-centre bias: mean of the track's centre minus the object's {text}",
+            )
+            for name, (values, text) in columns.items()
+        }
+
+    def objects(self) -> dict[int, dict[str, Any]]:
+        """For the table of objects: accuracy and bias of each one that was ever matched."""
+        result: dict[int, dict[str, Any]] = {}
+        corrected = self.corrected()["sight"]
+        for i, bias in self.biases.items():
+            mine = self.object_id == i
+            result[i] = {
+                "tracks": len(np.unique(self.track_id[mine])),
+                "rmse_m": float(np.sqrt((self.error_m[mine] ** 2).sum(axis=1).mean())),
+                "rmse_sight_corrected_m": float(np.sqrt((corrected[mine] ** 2).sum(axis=1).mean())),
+                "bias_along_m": float(bias.sight_m[0]),
+                "bias_across_m": float(bias.sight_m[1]),
+                "bias_body_x_m": float(bias.body_m[0]) if np.isfinite(bias.body_m[0]) else None,
+                "bias_body_y_m": float(bias.body_m[1]) if np.isfinite(bias.body_m[1]) else None,
+            }
+        return result
