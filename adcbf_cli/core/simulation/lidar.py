@@ -14,8 +14,9 @@ from adcbf_cli.core.simulation.poses import poses
 from adcbf_cli.core.simulation.scenario import Mount, PlanarLaser, SpinningLidar
 from adcbf_cli.core.types import FloatArray, IntArray
 
-COORDINATE_STEP_M = 1 / 1024
-"""Resolution of what is recorded. A power of two: such values are exact in float32 and compress well."""
+COORDINATE_STEP_M = 1 / 512
+"""Resolution of what is recorded, as coarse as a Velodyne's 2 mm. A power of two: such values are
+exact in float32 and compress well."""
 
 
 @dataclass(frozen=True, slots=True)
