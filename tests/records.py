@@ -53,6 +53,7 @@ def make_tracks(index: int, n: int, d: int, rng: np.random.Generator) -> Tracks:
         hits=rng.integers(1, 9, n),
         misses=rng.integers(0, 3, n),
         nis=np.where(np.arange(n) % 2 == 0, np.nan, 3.0),
+        manoeuvre=rng.uniform(0, 1, n) if d == 6 else None,
     )
 
 

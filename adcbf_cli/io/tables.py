@@ -73,7 +73,7 @@ SCHEMAS: dict[str, pa.Schema] = {
             *_floats("age_s"),
             ("hits", pa.int32()),
             ("misses", pa.int32()),
-            *_floats("nis"),
+            *_floats("nis", "manoeuvre_probability"),
             ("model", pa.string()),
             ("state", pa.list_(pa.float64())),
             ("covariance_upper", pa.list_(pa.float64())),
@@ -222,6 +222,7 @@ def track_columns(record: Tracks) -> Columns:
         "cov_xx_m2": record.covariance[:, 0, 0],
         "cov_xy_m2": record.covariance[:, 0, 1],
         "cov_yy_m2": record.covariance[:, 1, 1],
+        "manoeuvre_probability": np.full(n, np.nan) if record.manoeuvre is None else record.manoeuvre,
     }
     columns.update(
         {f"{name}": record.state[:, i] for i, name in enumerate(["x_m", "y_m", "z_m", "vx_mps", "vy_mps", "vz_mps"])}
@@ -375,6 +376,7 @@ def read_tracks(folder: Path) -> Iterator[Tracks]:
             hits=_column(part, "hits").astype(np.int64),
             misses=_column(part, "misses").astype(np.int64),
             nis=_column(part, "nis", np.nan),
+            manoeuvre=None if part["manoeuvre_probability"].null_count else _column(part, "manoeuvre_probability"),
         )
 
 
