@@ -1,0 +1,107 @@
+"""report.json and report.md: an evaluation, for programs and for people. No clock enters either."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from adcbf_cli.core.evaluation.report import Metric, Report
+from adcbf_cli.io.atomic import write_text_atomically
+
+JSON_NAME = "report.json"
+MARKDOWN_NAME = "report.md"
+
+_SECTIONS = {
+    "tracking": "Tracking against truth",
+    "bias": "Clustering-centre bias",
+    "prediction": "Prediction against truth",
+    "detection": "Detection",
+    "clear": "CLEAR MOT",
+    "hota": "HOTA",
+    "later_seen": "Prediction against where the same track was later seen",
+    "clusters": "Clusters",
+    "tracks": "Tracks",
+}
+_OBJECT_COLUMNS = (
+    "object_id", "class", "frames_in_range", "frames_tracked", "tracks", "rmse_m", "rmse_sight_corrected_m",
+    "bias_along_m", "bias_across_m", "bias_body_x_m", "bias_body_y_m",
+)  # fmt: skip
+
+
+def report_document(report: Report, provenance: dict[str, Any]) -> dict[str, Any]:
+    """report.json's content: the report, and whatever the caller says of the run it scores."""
+    document = report.to_dict()
+    return {"schema_version": document.pop("schema_version"), **provenance, **document}
+
+
+def write_report(folder: Path, document: dict[str, Any], report: Report) -> None:
+    """Writes both files into the run folder, each whole or not at all."""
+    write_text_atomically(folder / JSON_NAME, json.dumps(document, indent=2, allow_nan=False) + "\n")
+    write_text_atomically(folder / MARKDOWN_NAME, markdown(document, report))
+
+
+def number(value: float | None) -> str:
+    """Four significant digits, a dash for what was not measured."""
+    if value is None:
+        return "-"
+    return f"{value:.0f}" if value == round(value) and abs(value) < 1e9 else f"{value:.4g}"
+
+
+def interval(metric: Metric) -> str:
+    return "" if metric.interval is None else f"{number(metric.interval[0])} to {number(metric.interval[1])}"
+
+
+def unit(metric: Metric) -> str:
+    return "" if metric.unit == "1" else metric.unit
+
+
+def markdown(document: dict[str, Any], report: Report) -> str:
+    """The report as Markdown: what it rests on, one table a section, then the definitions."""
+    lines = ["# Evaluation", "", *_basis(document, report), ""]
+    for missed in document.get("thresholds_missed", ()):
+        lines += [f"**Threshold missed**: {missed}", ""]
+    for warning in document.get("warnings", ()):
+        lines += [f"- Warning: {warning}"]
+    for prefix, title in _SECTIONS.items():
+        chosen = {n: m for n, m in report.metrics.items() if n.split(".")[0] == prefix}
+        if chosen:
+            lines += ["", f"## {title}", "", *_metric_table(chosen)]
+    if report.objects:
+        lines += ["", "## Objects", "", *_object_table(report.objects)]
+    lines += ["", "## Definitions", ""]
+    lines += [f"- `{name}` ({metric.sample}): {metric.definition}." for name, metric in report.metrics.items()]
+    return "\n".join(lines) + "\n"
+
+
+def _basis(document: dict[str, Any], report: Report) -> list[str]:
+    source, truth = document.get("source", {}), report.basis.get("truth")
+    lines = [f"Log: {source.get('path', 'unknown')}, sha256 `{source.get('sha256', 'unknown')}`.", ""]
+    if truth is None:
+        lines.append("No ground truth: predictions are held against where the same track was later seen.")
+        return lines
+    span = truth["labelled_fov_deg"]
+    view = "all around" if span is None else f"azimuths {span[0]:g} to {span[1]:g} degrees"
+    lines.append(
+        f"Ground truth: {truth['source']}, {truth['labels']} labels of {truth['objects']} objects; scored within "
+        f"{report.basis['range_m']:g} m of the sensor; labelled: {view}; "
+        + ("everything that moves is labelled." if truth["exhaustive"] else "one object only is labelled.")
+    )
+    return lines
+
+
+def _metric_table(metrics: dict[str, Metric]) -> Iterable[str]:
+    yield "| metric | value | 95 % interval | unit | n | of |"
+    yield "| --- | ---: | --- | --- | ---: | --- |"
+    for name, metric in metrics.items():
+        row = (f"`{name}`", number(metric.value), interval(metric), unit(metric), str(metric.n), metric.sample)
+        yield f"| {' | '.join(row)} |"
+
+
+def _object_table(objects: list[dict[str, Any]]) -> Iterable[str]:
+    yield f"| {' | '.join(_OBJECT_COLUMNS)} |"
+    yield f"| {' | '.join('---' for _ in _OBJECT_COLUMNS)} |"
+    for entry in objects:
+        cells = (entry.get(name) for name in _OBJECT_COLUMNS)
+        yield f"| {' | '.join(number(c) if isinstance(c, float) else '-' if c is None else str(c) for c in cells)} |"
