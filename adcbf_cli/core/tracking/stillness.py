@@ -1,0 +1,147 @@
+"""Which tracks stand still: a test on where their clusters were seen lately.
+
+A straight line is fitted to the measured centres of the last seconds. An obstacle moves where the
+line's slope exceeds what three things may feign together: the least speed that counts as motion,
+the slope's own standard error (from the fit's residuals, so that no sensor model is trusted), and
+the drift of a seen surface's centre under a turning viewpoint. The last is the trap of a moving
+ego: when the line of sight to an obstacle turns by an angle, the visible side turns with it, and
+its centre may wander by up to the obstacle's radius times that angle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adcbf_cli.core.config import TrackingConfig
+from adcbf_cli.core.frames import wrap_angle
+from adcbf_cli.core.types import BoolArray, FloatArray
+
+CAPACITY = 64
+"""Sightings kept a track. A faster sensor than this over the window looks at a shorter past."""
+MIN_SIGHTINGS = 5
+STANDARD_ERRORS = 3.0
+STAY_MOVING_FRACTION = 0.7
+"""Hysteresis: a moving track stands still only well below the speed that sets it in motion."""
+SLOWEST_CLEAR_MOTION = 3.0
+"""A speed this many times the static one is motion for a track not yet called static, however noisy."""
+RECENT_SHARE = 0.35
+"""The newest share of the window, looked at alone: an obstacle that starts is noticed sooner there."""
+RECENT_MIN_SPEED_FACTOR = 3.0
+
+
+@dataclass(slots=True)
+class Sightings:
+    """Ring buffers of the last measured centres of n tracks, world xy, newest written at `cursor`.
+
+    time_s: (n, CAPACITY), NaN where empty; position_m, sensor_m: (n, CAPACITY, 2).
+    """
+
+    time_s: FloatArray
+    position_m: FloatArray
+    sensor_m: FloatArray
+    cursor: int = 0
+
+    @classmethod
+    def empty(cls, n: int) -> Sightings:
+        return cls(np.full((n, CAPACITY), np.nan), np.zeros((n, CAPACITY, 2)), np.zeros((n, CAPACITY, 2)))
+
+    def add(self, rows: BoolArray, time_s: float, position_m: FloatArray, sensor_m: FloatArray) -> None:
+        """One more frame: rows (n,) were seen at position_m (n, 2) from sensor_m (2,)."""
+        self.cursor = (self.cursor + 1) % CAPACITY
+        self.time_s[:, self.cursor] = np.where(rows, time_s, np.nan)
+        self.position_m[:, self.cursor] = np.where(rows[:, None], position_m, 0.0)
+        self.sensor_m[:, self.cursor] = sensor_m
+
+    def select(self, rows: BoolArray) -> Sightings:
+        return Sightings(self.time_s[rows], self.position_m[rows], self.sensor_m[rows], self.cursor)
+
+    def grow(self, n: int) -> Sightings:
+        """The same with n more tracks that were never seen."""
+        new = Sightings.empty(n)
+        return Sightings(
+            np.concatenate([self.time_s, new.time_s]),
+            np.concatenate([self.position_m, new.position_m]),
+            np.concatenate([self.sensor_m, new.sensor_m]),
+            self.cursor,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Slope:
+    """Straight-line fits of n tracks: speed and its standard error (m/s), the time that the
+    sightings span (s), their number, and the viewpoint's turn (rad) between first and last."""
+
+    speed_mps: FloatArray
+    standard_error_mps: FloatArray
+    span_s: FloatArray
+    count: FloatArray
+    turn_rad: FloatArray
+
+
+def fit_slopes(sightings: Sightings, now_s: float, window_s: float) -> Slope:
+    """Least-squares lines through each track's sightings within `window_s` before `now_s`."""
+    age = now_s - sightings.time_s
+    used = age <= window_s * (1 + 1e-9)
+    weight = used.astype(np.float64)
+    count = weight.sum(axis=1)
+    safe_count = np.maximum(count, 1.0)
+    time = np.where(used, -age, 0.0)
+    time = np.where(used, time - (time.sum(axis=1) / safe_count)[:, None], 0.0)
+    centred = (
+        sightings.position_m - (weight[:, :, None] * sightings.position_m).sum(1)[:, None] / safe_count[:, None, None]
+    )
+    centred *= weight[:, :, None]
+    moment = np.maximum((time**2).sum(axis=1), 1e-12)
+    velocity = (time[:, :, None] * centred).sum(axis=1) / moment[:, None]
+    residual = centred - time[:, :, None] * velocity[:, None, :]
+    variance = (residual**2).sum(axis=(1, 2)) / np.maximum(2 * (count - 2), 1.0)
+    first = np.where(used, age, -np.inf).argmax(axis=1)
+    last = np.where(used, age, np.inf).argmin(axis=1)
+    rows = np.arange(len(count))
+    return Slope(
+        speed_mps=np.hypot(velocity[:, 0], velocity[:, 1]),
+        standard_error_mps=np.sqrt(variance / moment),
+        span_s=np.where(count > 0, time[rows, last] - time[rows, first], 0.0),
+        count=count,
+        turn_rad=_viewpoint_turn(sightings, rows, first, last),
+    )
+
+
+def still(
+    was_still: BoolArray, sightings: Sightings, now_s: float, radius_m: FloatArray, config: TrackingConfig
+) -> BoolArray:
+    """(n,) which tracks stand still now, given which did a frame ago."""
+    whole = fit_slopes(sightings, now_s, config.static_window_s)
+    recent = fit_slopes(sightings, now_s, RECENT_SHARE * config.static_window_s)
+    excess = whole.speed_mps / _feigned_speed(whole, radius_m, config.static_speed_mps)
+    recent_excess = recent.speed_mps / _feigned_speed(
+        recent, radius_m, RECENT_MIN_SPEED_FACTOR * config.static_speed_mps
+    )
+    starts = ((excess > 1.0) & (whole.count >= MIN_SIGHTINGS)) | (
+        (recent_excess > 1.0) & (recent.count >= MIN_SIGHTINGS)
+    )
+    drift = radius_m * whole.turn_rad / np.maximum(whole.span_s, 1e-9)
+    slow = whole.speed_mps <= SLOWEST_CLEAR_MOTION * config.static_speed_mps + drift
+    known = (whole.count >= MIN_SIGHTINGS) & (whole.span_s >= 0.5 * config.static_window_s)
+    stops = known & slow & (excess < STAY_MOVING_FRACTION) & ~starts
+    return np.where(was_still, ~starts, stops)
+
+
+def _feigned_speed(slope: Slope, radius_m: FloatArray, least_speed_mps: float) -> FloatArray:
+    """The speed that a standing obstacle may show, at most."""
+    drift = radius_m * slope.turn_rad / np.maximum(slope.span_s, 1e-9)
+    feigned: FloatArray = least_speed_mps + STANDARD_ERRORS * slope.standard_error_mps + drift
+    return feigned
+
+
+def _viewpoint_turn(sightings: Sightings, rows: np.ndarray, first: np.ndarray, last: np.ndarray) -> FloatArray:
+    """How far the line of sight turned, plus the relative change of range, between two sightings."""
+    start = sightings.position_m[rows, first] - sightings.sensor_m[rows, first]
+    end = sightings.position_m[rows, last] - sightings.sensor_m[rows, last]
+    bearing = np.arctan2(end[:, 1], end[:, 0]) - np.arctan2(start[:, 1], start[:, 0])
+    near = np.maximum(np.hypot(start[:, 0], start[:, 1]), 0.1)
+    far = np.maximum(np.hypot(end[:, 0], end[:, 1]), 0.1)
+    turn: FloatArray = np.abs(wrap_angle(bearing)) + np.abs(np.log(far / near))
+    return np.minimum(turn, 2.0)

@@ -1,0 +1,335 @@
+"""From the clusters of each frame to tracks: predict, associate, update, begin, confirm, end.
+
+A track begins with a cluster that no track claims (tentative), is confirmed by enough hits, coasts
+on its motion model while unseen, and ends when unseen for too long. The ego's motion enters in the
+measurement: states live in the world, and are seen from the sensor's pose of each frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from adcbf_cli.core.config import TrackingConfig
+from adcbf_cli.core.timing import Timer, no_timer
+from adcbf_cli.core.tracking.association import assign
+from adcbf_cli.core.tracking.bank import TrackBank, adapted_noise, smoothed_size
+from adcbf_cli.core.tracking.filters import BatchFilter, Expectation
+from adcbf_cli.core.tracking.linalg import symmetrised
+from adcbf_cli.core.tracking.measurement import noise_along_axes, nominal_variance
+from adcbf_cli.core.tracking.modes import ModeChain, combine, mix, reweighed
+from adcbf_cli.core.tracking.stillness import Sightings, still
+from adcbf_cli.core.tracking.structures import wall_pieces
+from adcbf_cli.core.types import NO_ID, BoolArray, Clusters, FloatArray, IntArray, Notes, Tracks, TrackStatus
+
+STANDING_VARIANCE = 1e-4
+"""Of the velocity (m^2/s^2) and higher derivatives of a piece of a wall."""
+
+
+class Tracker:
+    """Takes frames in order, returns each frame's tracks. One instance a log."""
+
+    def __init__(self, config: TrackingConfig, notes: Notes, timer: Timer = no_timer) -> None:
+        self._config = config
+        self._notes = notes
+        self._timer = timer
+        self._chain = ModeChain.from_config(config)
+        self._filters: dict[bool, BatchFilter] = {}
+        self._bank: TrackBank | None = None
+        self._start_ns = 0
+        self._now_ns: int | None = None
+        self._next_id = 0
+
+    def __call__(self, clusters: Clusters) -> Tracks:
+        """The tracks after this frame, those that end in it included.
+
+        A frame that is not newer than the last one is not used: its tracks are the last frame's,
+        unseen, at the last frame's stamp, and a warning is noted.
+        """
+        with self._timer("track"):
+            clusters = self._finite(clusters)
+            kalman = self._filter(clusters.planar)
+            if self._bank is None:
+                self._bank = TrackBank.empty(len(self._chain.noise_factor), kalman.motion.dimension)
+            bank = self._bank
+            if self._now_ns is None:
+                self._start_ns = self._now_ns = clusters.stamp_ns
+            elif clusters.stamp_ns <= self._now_ns:
+                return self._skipped(bank, clusters)
+            dt = (clusters.stamp_ns - self._now_ns) / 1e9
+            self._now_ns = clusters.stamp_ns
+            if dt > self._config.max_coast_s and len(bank):
+                self._notes.count("tracking_gaps")
+                self._notes.warn(
+                    f"gaps longer than tracking.max_coast_s ({self._config.max_coast_s:g} s) between frames "
+                    "end every track"
+                )
+                bank.keep(np.zeros(len(bank), dtype=np.bool_))
+            self._predict(bank, kalman, dt)
+            taken = self._update(bank, kalman, clusters)
+            self._end_and_confirm(bank)
+            bank.append(self._born(kalman, clusters, ~taken))
+            bank.sightings.add(bank.cluster_id != NO_ID, self._now_s, *self._seen_from(bank, clusters))
+            bank.is_static = bank.is_structure | still(
+                bank.is_static, bank.sightings, self._now_s, bank.radius_m, self._config
+            )
+            tracks = self._record(bank, clusters)
+            bank.keep(bank.status != TrackStatus.ENDED)
+            return tracks
+
+    @property
+    def _now_s(self) -> float:
+        """Seconds since the first frame."""
+        assert self._now_ns is not None
+        return (self._now_ns - self._start_ns) / 1e9
+
+    def _filter(self, planar: bool) -> BatchFilter:
+        if planar not in self._filters:
+            self._filters[planar] = BatchFilter(self._config, planar, self._notes)
+        return self._filters[planar]
+
+    def _finite(self, clusters: Clusters) -> Clusters:
+        """Without clusters whose centre or size is not a number."""
+        values = np.column_stack([clusters.centre_m, clusters.centre_sensor_m, clusters.radius_m, clusters.height_m])
+        good = np.isfinite(values).all(axis=1)
+        if good.all():
+            return clusters
+        self._notes.count("clusters_without_finite_centre", int(np.count_nonzero(~good)))
+        return select_clusters(clusters, good)
+
+    def _skipped(self, bank: TrackBank, clusters: Clusters) -> Tracks:
+        self._notes.count("frames_out_of_order")
+        self._notes.warn("frames whose stamp is not later than the frame before were not used for tracking")
+        bank.cluster_id = np.full(len(bank), NO_ID, dtype=np.int64)
+        bank.nis = np.full(len(bank), np.nan)
+        assert self._now_ns is not None
+        return self._record(bank, replace(clusters, stamp_ns=self._now_ns))
+
+    def _predict(self, bank: TrackBank, kalman: BatchFilter, dt: float) -> None:
+        """Moves every track on by dt (s)."""
+        bank.cluster_id = np.full(len(bank), NO_ID, dtype=np.int64)
+        bank.nis = np.full(len(bank), np.nan)
+        if not len(bank):
+            return
+        _hold_structures(bank)
+        n, m, d = bank.states.shape
+        states, covariances, bank.modes = mix(bank.states, bank.covariances, bank.modes, self._chain.transition(dt))
+        noise = self._chain.noise_factor[:, None, None] * kalman.motion.process_noise(dt)
+        moved, spread = kalman.predict(
+            states.reshape(n * m, d), covariances.reshape(n * m, d, d), dt, np.tile(noise, (n, 1, 1))
+        )
+        bank.states, bank.covariances = moved.reshape(n, m, d), spread.reshape(n, m, d, d)
+
+    def _update(self, bank: TrackBank, kalman: BatchFilter, clusters: Clusters) -> BoolArray:
+        """Assigns clusters to tracks and corrects these; returns (c,) which clusters were taken."""
+        taken = np.zeros(len(clusters), dtype=np.bool_)
+        if not len(bank):
+            return taken
+        state, covariance = combine(bank.states, bank.covariances, bank.modes)
+        expected = kalman.expect(state, covariance, clusters.world_from_sensor)
+        noise = self._noise(bank, kalman, state, clusters.world_from_sensor)
+        total = symmetrised(expected.covariance + noise)
+        rows, columns = self._associate(bank, kalman, clusters, expected, total)
+        taken[columns] = True
+        bank.frames += 1
+        missed = np.ones(len(bank), dtype=np.bool_)
+        missed[rows] = False
+        bank.misses = np.where(missed, bank.misses + 1, 0)
+        if not len(rows):
+            return taken
+        measured = kalman.measurement.observe(clusters.centre_sensor_m[columns])
+        self._correct(bank, kalman, rows, measured, noise, clusters.world_from_sensor)
+        innovation = kalman.measurement.difference(measured, expected.mean[rows])
+        bank.nis[rows] = np.maximum(
+            np.einsum("ni,ni->n", innovation, np.linalg.solve(total[rows], innovation[:, :, None])[:, :, 0]), 0.0
+        )
+        if self._config.adaptive_noise:
+            bank.noise_scale[rows] = adapted_noise(
+                bank.noise_scale[rows], bank.hits[rows], innovation, total[rows], noise[rows]
+            )
+        is_piece, spread_m = wall_pieces(clusters, self._config.structure_length_m)
+        bank.is_structure[rows], bank.spread_m[rows] = is_piece[columns], spread_m[columns]
+        bank.radius_m[rows] = smoothed_size(bank.radius_m[rows], clusters.radius_m[columns])
+        bank.height_m[rows] = smoothed_size(bank.height_m[rows], clusters.height_m[columns])
+        bank.cluster_id[rows] = clusters.cluster_id[columns]
+        bank.seen_s[rows] = self._now_s
+        bank.hits[rows] += 1
+        return taken
+
+    def _associate(
+        self, bank: TrackBank, kalman: BatchFilter, clusters: Clusters, expected: Expectation, total: FloatArray
+    ) -> tuple[IntArray, IntArray]:
+        """Tracks that were confirmed choose first; tentative ones share what is left."""
+        measured = kalman.measurement.observe(clusters.centre_sensor_m)
+        tentative = bank.status == TrackStatus.TENTATIVE
+        free = np.arange(len(clusters))
+        pairs: list[tuple[IntArray, IntArray]] = []
+        for rows in (np.flatnonzero(~tentative), np.flatnonzero(tentative)):
+            i, j = assign(
+                expected.mean[rows],
+                total[rows],
+                bank.radius_m[rows],
+                measured[free],
+                clusters.radius_m[free],
+                kalman.measurement,
+                self._config,
+            )
+            pairs.append((rows[i], free[j]))
+            free = np.delete(free, j)
+        return np.concatenate([pairs[0][0], pairs[1][0]]), np.concatenate([pairs[0][1], pairs[1][1]])
+
+    def _correct(
+        self,
+        bank: TrackBank,
+        kalman: BatchFilter,
+        rows: IntArray,
+        measured: FloatArray,
+        noise: FloatArray,
+        world_from_sensor: FloatArray,
+    ) -> None:
+        """Updates every mode of these tracks, and the modes' probabilities."""
+        n, m, d = len(rows), *bank.states.shape[1:]
+        states = bank.states[rows].reshape(n * m, d)
+        covariances = bank.covariances[rows].reshape(n * m, d, d)
+        corrected = kalman.update(
+            states,
+            covariances,
+            kalman.expect(states, covariances, world_from_sensor),
+            np.repeat(measured, m, axis=0),
+            np.repeat(noise[rows], m, axis=0),
+        )
+        bank.states[rows] = corrected.state.reshape(n, m, d)
+        bank.covariances[rows] = corrected.covariance.reshape(n, m, d, d)
+        bank.modes[rows] = reweighed(bank.modes[rows], corrected.log_likelihood.reshape(n, m))
+
+    def _noise(
+        self, bank: TrackBank, kalman: BatchFilter, state: FloatArray, world_from_sensor: FloatArray
+    ) -> FloatArray:
+        """(n, k, k) measurement noise of each track, where it is expected to be seen."""
+        rotation = world_from_sensor[:3, :3]
+        points = (state[:, :3] - world_from_sensor[:3, 3]) @ rotation
+        variance = bank.noise_scale * nominal_variance(points, bank.radius_m, bank.height_m, self._config)
+        return kalman.measurement.noise(points, variance, bank.spread_m @ rotation)
+
+    def _end_and_confirm(self, bank: TrackBank) -> None:
+        config = self._config
+        seen = bank.cluster_id != NO_ID
+        tentative = bank.status == TrackStatus.TENTATIVE
+        hopeless = tentative & (bank.frames - bank.hits > config.confirm_window - config.confirm_hits)
+        lost = ~seen & (self._now_s - bank.seen_s > config.max_coast_s)
+        bank.status[~tentative & ~seen] = TrackStatus.COASTING
+        bank.status[(~tentative & seen) | (bank.hits >= config.confirm_hits)] = TrackStatus.CONFIRMED
+        bank.status[~tentative & ~seen] = TrackStatus.COASTING
+        bank.status[hopeless | lost] = TrackStatus.ENDED
+
+    def _born(self, kalman: BatchFilter, clusters: Clusters, free: BoolArray) -> TrackBank:
+        """New tentative tracks from the clusters that no track took."""
+        rows = np.flatnonzero(free)
+        n, m, d = len(rows), len(self._chain.noise_factor), kalman.motion.dimension
+        is_piece, spread_m = wall_pieces(clusters, self._config.structure_length_m)
+        rotation = clusters.world_from_sensor[:3, :3]
+        points = clusters.centre_sensor_m[rows]
+        variance = nominal_variance(points, clusters.radius_m[rows], clusters.height_m[rows], self._config)
+        state = np.zeros((n, d))
+        state[:, :3] = clusters.centre_m[rows]
+        covariance = np.zeros((n, d, d))
+        covariance[:, np.arange(d), np.arange(d)] = kalman.motion.initial_variance
+        placed = noise_along_axes(points, variance, spread_m[rows] @ rotation)
+        covariance[:, :3, :3] = rotation @ placed @ rotation.T
+        identifiers = self._next_id + np.arange(n, dtype=np.int64)
+        self._next_id += n
+        born = TrackBank.empty(m, d)
+        born.track_id = identifiers
+        born.status = np.full(
+            n, TrackStatus.CONFIRMED if self._config.confirm_hits == 1 else TrackStatus.TENTATIVE, dtype=np.int64
+        )
+        born.states = np.repeat(state[:, None], m, axis=1)
+        born.covariances = np.repeat(symmetrised(covariance)[:, None], m, axis=1)
+        born.modes = np.tile(self._chain.stationary, (n, 1))
+        born.noise_scale = np.ones((n, 3))
+        born.spread_m = spread_m[rows]
+        born.radius_m = clusters.radius_m[rows].copy()
+        born.height_m = clusters.height_m[rows].copy()
+        born.is_static = is_piece[rows]
+        born.is_structure = is_piece[rows]
+        born.cluster_id = clusters.cluster_id[rows].astype(np.int64)
+        born.born_s = np.full(n, self._now_s)
+        born.seen_s = np.full(n, self._now_s)
+        born.hits = np.ones(n, dtype=np.int64)
+        born.misses = np.zeros(n, dtype=np.int64)
+        born.frames = np.ones(n, dtype=np.int64)
+        born.nis = np.full(n, np.nan)
+        born.sightings = Sightings.empty(n)
+        return born
+
+    def _seen_from(self, bank: TrackBank, clusters: Clusters) -> tuple[FloatArray, FloatArray]:
+        """Where each track's cluster was measured (n, 2), anywhere for the unseen; the sensor (2,)."""
+        position = np.zeros((len(bank), 2))
+        order = np.argsort(clusters.cluster_id, kind="stable")
+        seen = bank.cluster_id != NO_ID
+        found = np.searchsorted(clusters.cluster_id, bank.cluster_id[seen], sorter=order)
+        position[seen] = clusters.centre_m[order[found], :2]
+        return position, clusters.world_from_sensor[:2, 3]
+
+    def _record(self, bank: TrackBank, clusters: Clusters) -> Tracks:
+        state, covariance = combine(bank.states, bank.covariances, bank.modes)
+        return Tracks(
+            frame_index=clusters.frame_index,
+            stamp_ns=clusters.stamp_ns,
+            world_from_sensor=clusters.world_from_sensor,
+            model=self._config.model,
+            track_id=bank.track_id.copy(),
+            status=bank.status.copy(),
+            state=state,
+            covariance=covariance,
+            radius_m=bank.radius_m.copy(),
+            height_m=bank.height_m.copy(),
+            is_static=bank.is_static.copy(),
+            cluster_id=bank.cluster_id.copy(),
+            age_s=self._now_s - bank.born_s,
+            hits=bank.hits.copy(),
+            misses=bank.misses.copy(),
+            nis=bank.nis.copy(),
+            manoeuvre=bank.modes[:, -1].copy(),
+        )
+
+
+def track_clusters(
+    clusters: Iterable[Clusters], config: TrackingConfig, notes: Notes, timer: Timer = no_timer
+) -> Iterator[Tracks]:
+    """One `Tracks` a frame, in order."""
+    tracker = Tracker(config, notes, timer)
+    for frame in clusters:
+        yield tracker(frame)
+
+
+def select_clusters(clusters: Clusters, rows: BoolArray) -> Clusters:
+    """The same frame with these clusters only."""
+    return replace(
+        clusters,
+        cluster_id=clusters.cluster_id[rows],
+        centre_m=clusters.centre_m[rows],
+        centre_sensor_m=clusters.centre_sensor_m[rows],
+        radius_m=clusters.radius_m[rows],
+        height_m=clusters.height_m[rows],
+        length_m=clusters.length_m[rows],
+        width_m=clusters.width_m[rows],
+        yaw_rad=clusters.yaw_rad[rows],
+        points=clusters.points[rows],
+        probability=clusters.probability[rows],
+        split_from=clusters.split_from[rows],
+    )
+
+
+def _hold_structures(bank: TrackBank) -> None:
+    """Pieces of walls start each step at rest."""
+    held = bank.is_structure
+    bank.states[held, :, 3:] = 0.0
+    bank.covariances[held, :, 3:, :] = 0.0
+    bank.covariances[held, :, :, 3:] = 0.0
+    derivatives = np.arange(3, bank.states.shape[2])
+    bank.covariances[np.ix_(held, np.arange(bank.states.shape[1]), derivatives, derivatives)] += (
+        STANDING_VARIANCE * np.eye(len(derivatives))
+    )
