@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from adcbf_cli.core.config import TrackingConfig
-from adcbf_cli.core.tracking.linalg import cholesky_with_repair, quadratic_form, symmetrised, turned
+from adcbf_cli.core.tracking.linalg import cholesky_with_repair, inverted, quadratic_form, symmetrised, turned
 from adcbf_cli.core.tracking.measurement import Cartesian, Measurement, Spherical
 from adcbf_cli.core.tracking.motion import MotionModel, build_motion_model
 from adcbf_cli.core.types import FloatArray, Notes
@@ -129,7 +129,7 @@ class BatchFilter:
         """Corrects n states by n measurements (n, k) with noise covariances (n, k, k)."""
         innovation = self.measurement.difference(measured, expected.mean)
         total = symmetrised(expected.covariance + noise)
-        inverse = symmetrised(np.linalg.inv(total))
+        inverse = inverted(total)
         gain = expected.cross @ inverse
         nis = np.maximum(quadratic_form(innovation, inverse), 0.0)
         corrected = covariances - gain @ np.swapaxes(expected.cross, 1, 2)

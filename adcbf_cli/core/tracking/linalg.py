@@ -22,7 +22,7 @@ def cholesky_with_repair(covariance: FloatArray, notes: Notes) -> tuple[FloatArr
     largest one; each repair is counted as "repaired_factorisations".
     """
     try:
-        return np.linalg.cholesky(covariance), covariance
+        return _cholesky(covariance), covariance
     except np.linalg.LinAlgError:
         pass  # numpy does not say which one failed: repair those whose eigenvalues are too small
     values, vectors = np.linalg.eigh(symmetrised(covariance))
@@ -31,15 +31,25 @@ def cholesky_with_repair(covariance: FloatArray, notes: Notes) -> tuple[FloatArr
     rebuilt = (vectors * np.maximum(values, floor)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
     repaired = np.where(broken[..., None, None], symmetrised(rebuilt), covariance)
     notes.count("repaired_factorisations", int(np.count_nonzero(broken)))
-    return np.linalg.cholesky(repaired), repaired
+    return _cholesky(repaired), repaired
+
+
+def inverted(covariance: FloatArray) -> FloatArray:
+    """The symmetric inverses of symmetric matrices (..., d, d)."""
+    return symmetrised(np.asarray(np.linalg.inv(covariance), dtype=np.float64))
 
 
 def quadratic_form(vectors: FloatArray, inverse: FloatArray) -> FloatArray:
     """v^T M v for stacks of vectors (..., k) and matrices (..., k, k) -> (...)."""
-    return np.einsum("...i,...ij,...j->...", vectors, inverse, vectors)
+    product: FloatArray = np.einsum("...i,...ij,...j->...", vectors, inverse, vectors)
+    return product
 
 
 def turned(vectors: FloatArray, matrix: FloatArray) -> FloatArray:
     """M v for vectors (..., k) and matrices (..., j, k) -> (..., j)."""
     product: FloatArray = (matrix @ vectors[..., None])[..., 0]
     return product
+
+
+def _cholesky(covariance: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)

@@ -26,7 +26,8 @@ MIN_RANGE_M = 0.05
 class Measurement(Protocol):
     """A measurement of dimension k of points (..., 3) in the sensor's frame."""
 
-    dimension: int
+    @property
+    def dimension(self) -> int: ...
 
     def observe(self, points_m: FloatArray) -> FloatArray:
         """(..., 3) -> (..., k)."""
@@ -157,4 +158,5 @@ def nominal_variance(
 
 def _diagonal(values: FloatArray) -> FloatArray:
     """(n, k) -> (n, k, k)."""
-    return values[:, :, None] * np.eye(values.shape[1])
+    matrices: FloatArray = values[:, :, None] * np.eye(values.shape[1])
+    return matrices

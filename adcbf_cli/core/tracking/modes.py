@@ -47,7 +47,8 @@ class ModeChain:
         """(m, m) probability of going from row's to column's mode within dt (s)."""
         modes = len(self.noise_factor)
         decay = np.exp(-dt * (1 / self.cruise_s + 1 / self.manoeuvre_s))
-        return decay * np.eye(modes) + (1 - decay) * np.broadcast_to(self.stationary, (modes, modes))
+        matrix: FloatArray = decay * np.eye(modes) + (1 - decay) * np.broadcast_to(self.stationary, (modes, modes))
+        return matrix
 
 
 def mix(

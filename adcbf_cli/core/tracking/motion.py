@@ -80,14 +80,17 @@ def _transition_matrix(derivatives: int, dt: float) -> FloatArray:
     one_axis[np.arange(derivatives - 1), np.arange(1, derivatives)] = dt
     if derivatives == 3:
         one_axis[0, 2] = 0.5 * dt * dt
-    return np.kron(one_axis, np.eye(3))
+    matrix: FloatArray = np.asarray(np.kron(one_axis, np.eye(3)), dtype=np.float64)
+    return matrix
 
 
 def _white_noise(derivatives: int, dt: float, density: FloatArray) -> FloatArray:
     """Continuous white noise of spectral density (3,) on each axis's highest derivative."""
     from filterpy.common import Q_continuous_white_noise
 
-    return np.kron(Q_continuous_white_noise(derivatives, dt), np.diag(density))
+    one_axis: FloatArray = Q_continuous_white_noise(derivatives, dt)
+    noise: FloatArray = np.kron(one_axis, np.diag(density))
+    return noise
 
 
 def _turn_noise(dt: float, density: FloatArray, turn_density: float) -> FloatArray:

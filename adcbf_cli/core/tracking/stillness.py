@@ -89,10 +89,8 @@ def fit_slopes(sightings: Sightings, now_s: float, window_s: float) -> Slope:
     safe_count = np.maximum(count, 1.0)
     time = np.where(used, -age, 0.0)
     time = np.where(used, time - (time.sum(axis=1) / safe_count)[:, None], 0.0)
-    centred = (
-        sightings.position_m - (weight[:, :, None] * sightings.position_m).sum(1)[:, None] / safe_count[:, None, None]
-    )
-    centred *= weight[:, :, None]
+    mean = (weight[:, :, None] * sightings.position_m).sum(axis=1) / safe_count[:, None]
+    centred = weight[:, :, None] * (sightings.position_m - mean[:, None, :])
     moment = np.maximum((time**2).sum(axis=1), 1e-12)
     velocity = (time[:, :, None] * centred).sum(axis=1) / moment[:, None]
     residual = centred - time[:, :, None] * velocity[:, None, :]

@@ -93,7 +93,7 @@ class Tracker:
     def _finite(self, clusters: Clusters) -> Clusters:
         """Without clusters whose centre or size is not a number."""
         values = np.column_stack([clusters.centre_m, clusters.centre_sensor_m, clusters.radius_m, clusters.height_m])
-        good = np.isfinite(values).all(axis=1)
+        good: BoolArray = np.all(np.isfinite(values), axis=1)
         if good.all():
             return clusters
         self._notes.count("clusters_without_finite_centre", int(np.count_nonzero(~good)))
@@ -329,7 +329,5 @@ def _hold_structures(bank: TrackBank) -> None:
     bank.states[held, :, 3:] = 0.0
     bank.covariances[held, :, 3:, :] = 0.0
     bank.covariances[held, :, :, 3:] = 0.0
-    derivatives = np.arange(3, bank.states.shape[2])
-    bank.covariances[np.ix_(held, np.arange(bank.states.shape[1]), derivatives, derivatives)] += (
-        STANDING_VARIANCE * np.eye(len(derivatives))
-    )
+    for k in range(3, bank.states.shape[2]):
+        bank.covariances[held, :, k, k] = STANDING_VARIANCE
