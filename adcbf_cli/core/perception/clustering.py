@@ -1,0 +1,333 @@
+"""HDBSCAN on the exact neighbour graph of a maximal gap, and DBSCAN to compare.
+
+HDBSCAN* (Campello et al. 2013) builds the minimum spanning tree of the mutual reachability
+distances of all pairs of points, condenses it into a tree of clusters, and takes the most stable
+ones. Over all pairs that is quadratic. But obstacles that are `max_gap_m` apart are never one, so
+no tree edge longer than that matters: all edges up to it come from a k-d tree, exactly, and the
+spanning *forest* of that sparse graph holds precisely the edges of the full tree up to `max_gap_m`.
+
+Each tree of the forest is a hierarchy of its own, whose root is born at the density 1 / max_gap_m
+and may itself be taken: most trees are one object. This is where the result may differ from HDBSCAN
+over the whole cloud, which never takes its root, and starts every other cluster's life where it
+leaves its neighbours, however far away those are: there one far point makes all other clusters
+longer-lived. Here an obstacle's clustering depends on nothing farther than `max_gap_m` from it. On a
+single connected cloud both agree (with `allow_single_cluster` there, and a large gap here), which
+the tests check against scikit-learn.
+
+`min_gap_m` is the cluster selection epsilon of Malzer and Baum (2020): clusters that separate only
+at a smaller distance are left together, since LiDAR density varies across one object. Between the
+two gaps, density decides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from adcbf_cli.core.errors import AdcbfError
+from adcbf_cli.core.types import NO_ID, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
+MAX_PAIRS = 30_000_000
+"""Neighbour pairs of one frame that are still worked on (about half a gigabyte)."""
+
+SMALLEST_DISTANCE_M = 1e-9
+"""Coincident points have a finite density, too."""
+
+
+@dataclass(frozen=True, slots=True)
+class Grouping:
+    """label: (n,) a cluster from 0, in order of each one's first point, or NO_ID; probability: (n,)
+    the strength of the membership in [0, 1], 0 for noise."""
+
+    label: IntArray
+    probability: FloatArray
+
+
+def hdbscan(
+    points_m: FloatArray, *, min_cluster_size: int, min_samples: int, min_gap_m: float, max_gap_m: float
+) -> Grouping:
+    """Cluster points (n, d) by the hierarchy of densities within `max_gap_m`; see the module's text.
+
+    Raises AdcbfError where the points are so dense that the graph would not fit in memory.
+    """
+    if len(points_m) < max(min_cluster_size, min_samples):
+        return _all_noise(len(points_m))
+    first, second, weight = _spanning_forest(points_m, min_samples, max_gap_m)
+    tree = _condense(len(points_m), first, second, 1.0 / weight, min_cluster_size, 1.0 / max_gap_m)
+    selected = _most_stable(tree)
+    if min_gap_m > 0:
+        selected = _lift_to_gap(tree, selected, min_gap_m)
+    return _label(tree, selected)
+
+
+def dbscan(points_m: FloatArray, *, eps_m: float, min_samples: int, min_cluster_size: int) -> Grouping:
+    """DBSCAN (Ester et al. 1996) of points (n, d), exactly. A border point goes to its nearest core
+    point's cluster; clusters smaller than `min_cluster_size` are noise; members have probability 1."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    n = len(points_m)
+    if n == 0:
+        return _all_noise(0)
+    first, second = _pairs_within(cKDTree(points_m), eps_m)
+    distance = _distance(points_m, first, second)
+    neighbours = np.bincount(first, minlength=n) + np.bincount(second, minlength=n) + 1
+    core = neighbours >= min_samples
+    linked = core[first] & core[second]
+    graph = coo_array((np.ones(int(linked.sum())), (first[linked], second[linked])), shape=(n, n))
+    _, component = connected_components(graph, directed=False)
+    label = np.where(core, component, NO_ID).astype(np.int64)
+
+    border = np.concatenate([first, second])
+    owner = np.concatenate([second, first])
+    away = np.concatenate([distance, distance])
+    reachable = ~core[border] & core[owner]
+    border, owner, away = border[reachable], owner[reachable], away[reachable]
+    order = np.lexsort((owner, away, border))
+    nearest_of, where = np.unique(border[order], return_index=True)
+    label[nearest_of] = component[owner[order][where]]
+
+    sizes = np.bincount(label[label >= 0], minlength=n)
+    label[(label >= 0) & (sizes[np.maximum(label, 0)] < min_cluster_size)] = NO_ID
+    label = _in_order_of_appearance(label)
+    return Grouping(label, (label != NO_ID).astype(np.float64))
+
+
+def _all_noise(n: int) -> Grouping:
+    return Grouping(np.full(n, NO_ID, dtype=np.int64), np.zeros(n))
+
+
+def _pairs_within(tree: cKDTree, radius_m: float) -> tuple[IntArray, IntArray]:
+    """All pairs of the tree's points up to `radius_m` apart, as two index arrays."""
+    n = tree.n
+    if n * (n - 1) // 2 > MAX_PAIRS and (tree.count_neighbors(tree, radius_m) - n) // 2 > MAX_PAIRS:
+        raise AdcbfError(
+            f"{n} grid cells of one frame have too many neighbours within {radius_m:g} m to cluster: "
+            "raise perception.cell_m, or lower perception.max_gap_m or perception.range_m"
+        )
+    pairs = tree.query_pairs(radius_m, output_type="ndarray")
+    return pairs[:, 0], pairs[:, 1]
+
+
+def _distance(points_m: FloatArray, first: IntArray, second: IntArray) -> FloatArray:
+    difference = points_m[first] - points_m[second]
+    distance: FloatArray = np.sqrt(np.einsum("ij,ij->i", difference, difference))
+    return distance
+
+
+def _spanning_forest(
+    points_m: FloatArray, min_samples: int, max_gap_m: float
+) -> tuple[list[int], list[int], FloatArray]:
+    """The minimum spanning forest's edges by rising mutual reachability distance, all <= max_gap_m.
+
+    Kruskal's order in two steps: the forest of the short edges first, whose components then leave
+    out nearly all of the long ones, since an edge within a component that shorter edges already
+    connect is never needed.
+    """
+    from scipy.sparse import coo_array, csr_array
+    from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
+    from scipy.spatial import cKDTree
+
+    n = len(points_m)
+    tree = cKDTree(points_m)
+    core = tree.query(points_m, k=[min_samples])[0][:, 0]
+    component = np.arange(n)
+    kept = coo_array((n, n))
+    for reach_m in (max_gap_m / 3, max_gap_m):
+        first, second = _pairs_within(tree, reach_m)
+        apart = component[first] != component[second]
+        first, second = first[apart], second[apart]
+        weight = np.maximum(core[first], core[second])
+        weight = np.maximum(weight, np.maximum(_distance(points_m, first, second), SMALLEST_DISTANCE_M))
+        near = weight <= reach_m
+        data = np.concatenate([kept.data, weight[near]])
+        ends = (np.concatenate([kept.row, first[near]]), np.concatenate([kept.col, second[near]]))
+        kept = minimum_spanning_tree(csr_array((data, ends), shape=(n, n))).tocoo()
+        _, component = connected_components(kept, directed=False)
+    first, second, weight = kept.row, kept.col, kept.data
+    order = np.lexsort((second, first, weight))
+    return first[order].tolist(), second[order].tolist(), weight[order]
+
+
+@dataclass(slots=True)
+class _CondensedTree:
+    """The clusters of the hierarchy, children before parents, density lambda = 1 / distance.
+
+    parent: NO_ID for a root; birth: the lambda at which it leaves its parent; death: the largest
+    lambda at which it still held together; mass: the sum of lambda over its points as they leave;
+    size: points. point_cluster, point_lambda: the smallest cluster of each point, and when it left.
+    """
+
+    point_cluster: list[int]
+    point_lambda: list[float]
+    parent: list[int] = field(default_factory=list)
+    birth: list[float] = field(default_factory=list)
+    death: list[float] = field(default_factory=list)
+    mass: list[float] = field(default_factory=list)
+    size: list[int] = field(default_factory=list)
+
+    def grow(self, size: int, density: float, root_birth: float) -> int:
+        """A new cluster of `size` points, all of which leave it at `density`."""
+        self.parent.append(NO_ID)
+        self.birth.append(root_birth)
+        self.death.append(density)
+        self.mass.append(size * density)
+        self.size.append(size)
+        return len(self.parent) - 1
+
+    def stability(self, cluster: int) -> float:
+        """Excess of mass: the sum over its points of lambda as they leave minus lambda at birth."""
+        return self.mass[cluster] - self.birth[cluster] * self.size[cluster]
+
+
+class _Groups:
+    """The points joined so far, as disjoint sets named by one of their points, the top. A set has its
+    cluster, or, while it is smaller than a cluster, its points."""
+
+    def __init__(self, n: int) -> None:
+        self.up = list(range(n))
+        self.cluster = [NO_ID] * n
+        self._members: dict[int, list[int]] = {}
+
+    def top(self, point: int) -> int:
+        up = self.up
+        while up[point] != point:
+            up[point] = up[up[point]]
+            point = up[point]
+        return point
+
+    def members(self, top: int) -> list[int]:
+        return self._members.get(top) or [top]
+
+    def keep_loose(self, top: int, members: list[int]) -> None:
+        self._members[top] = members
+
+
+def _condense(
+    n: int, first: list[int], second: list[int], density: FloatArray, min_cluster_size: int, root_birth: float
+) -> _CondensedTree:
+    """Condense the forest bottom up: join along its edges, the densest first, and note each time that
+    groups of at least `min_cluster_size` points meet. It equals the usual top-down reading.
+
+    Mutual reachability distances tie often (one point's core distance is the weight of several
+    edges). All groups that meet at one density meet at once, so that neither the points' order nor
+    the choice among equal spanning trees changes the result.
+    """
+    tree = _CondensedTree([NO_ID] * n, [0.0] * n)
+    groups = _Groups(n)
+    begins = np.flatnonzero(np.diff(density, prepend=np.inf)).tolist()
+    for start, stop in zip(begins, [*begins[1:], len(density)], strict=True):
+        at = float(density[start])
+        if stop == start + 1:
+            _meet(tree, groups, [groups.top(first[start]), groups.top(second[start])], at, min_cluster_size, root_birth)
+            continue
+        for meeting in _meetings(groups, first[start:stop], second[start:stop]):
+            _meet(tree, groups, meeting, at, min_cluster_size, root_birth)
+    return tree
+
+
+def _meetings(groups: _Groups, first: list[int], second: list[int]) -> list[list[int]]:
+    """The groups that these edges of one density join, each as the list of tops that become one."""
+    meeting_of: dict[int, list[int]] = {}
+    for a, b in zip(first, second, strict=True):
+        one, other = groups.top(a), groups.top(b)
+        meeting = meeting_of.get(one, [one])
+        meeting += meeting_of.get(other, [other])
+        for top in meeting:
+            meeting_of[top] = meeting
+    return list({id(meeting): meeting for meeting in meeting_of.values()}.values())
+
+
+def _meet(
+    tree: _CondensedTree, groups: _Groups, tops: list[int], at: float, min_cluster_size: int, root_birth: float
+) -> None:
+    """Groups become one at density `at`: two clusters or more a new one, a single cluster gains the
+    rest, and small groups stay small or are a cluster's first points."""
+    clusters: list[int] = []
+    loose: list[int] = []
+    top = tops[0]
+    for each in tops:
+        groups.up[each] = top
+        if groups.cluster[each] == NO_ID:
+            loose += groups.members(each)
+        else:
+            clusters.append(groups.cluster[each])
+    if len(clusters) == 1:
+        cluster = clusters[0]
+        tree.size[cluster] += len(loose)
+        tree.mass[cluster] += len(loose) * at
+    elif clusters or len(loose) >= min_cluster_size:
+        cluster = tree.grow(len(loose) + sum(tree.size[child] for child in clusters), at, root_birth)
+        for child in clusters:
+            tree.parent[child] = cluster
+            tree.birth[child] = at
+    else:
+        groups.keep_loose(top, loose)
+        return
+    groups.cluster[top] = cluster
+    for point in loose:
+        tree.point_cluster[point] = cluster
+        tree.point_lambda[point] = at
+
+
+def _most_stable(tree: _CondensedTree) -> list[bool]:
+    """Excess of mass: a cluster is taken unless the best choice among its descendants has more."""
+    count = len(tree.parent)
+    below = [0.0] * count
+    takes_itself = [True] * count
+    for cluster in range(count):
+        own = tree.stability(cluster)
+        takes_itself[cluster] = below[cluster] <= own
+        if tree.parent[cluster] != NO_ID:
+            below[tree.parent[cluster]] += max(own, below[cluster])
+    selected = [False] * count
+    covered = [False] * count
+    for cluster in reversed(range(count)):
+        parent = tree.parent[cluster]
+        covered[cluster] = parent != NO_ID and (covered[parent] or selected[parent])
+        selected[cluster] = takes_itself[cluster] and not covered[cluster]
+    return selected
+
+
+def _lift_to_gap(tree: _CondensedTree, selected: list[bool], min_gap_m: float) -> list[bool]:
+    """Replace each taken cluster that left its sibling at a distance below `min_gap_m` by its nearest
+    ancestor that did not, or the root."""
+    lifted = [False] * len(selected)
+    for cluster, taken in enumerate(selected):
+        if not taken:
+            continue
+        ancestor = cluster
+        while tree.parent[ancestor] != NO_ID and 1.0 / tree.birth[ancestor] < min_gap_m:
+            ancestor = tree.parent[ancestor]
+        lifted[ancestor] = True
+    return lifted
+
+
+def _label(tree: _CondensedTree, selected: list[bool]) -> Grouping:
+    """Points of the taken clusters; probability = lambda as it leaves / the cluster's largest lambda."""
+    count = len(selected)
+    owner = np.full(count + 1, NO_ID, dtype=np.int64)
+    for cluster in reversed(range(count)):
+        owner[cluster] = cluster if selected[cluster] else owner[tree.parent[cluster]]
+    point_cluster = np.array(tree.point_cluster, dtype=np.int64)
+    taken_by = owner[point_cluster]
+    death = np.array([*tree.death, 1.0])[taken_by]
+    probability = np.minimum(np.array(tree.point_lambda) / death, 1.0)
+    return Grouping(_in_order_of_appearance(taken_by), np.where(taken_by == NO_ID, 0.0, probability))
+
+
+def _in_order_of_appearance(label: IntArray) -> IntArray:
+    """Clusters renumbered from 0 by their first point."""
+    found, where = np.unique(label[label != NO_ID], return_index=True)
+    rank = np.empty(len(found), dtype=np.int64)
+    rank[np.argsort(where)] = np.arange(len(found))
+    renumbered = np.full(len(label), NO_ID, dtype=np.int64)
+    members = label != NO_ID
+    renumbered[members] = rank[np.searchsorted(found, label[members])]
+    return renumbered

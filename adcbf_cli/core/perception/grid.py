@@ -1,0 +1,64 @@
+"""Thin a cloud to one point a cell of a plan-view grid, and drop the cells that stand alone.
+
+Why in plan: the obstacle that leaves this stage is a circle on the ground with a height, so two
+points above one another are the same obstacle. A spinning LiDAR's rings are much farther apart
+vertically (2 degrees are 0.35 m at 10 m) than its points along a ring; in three dimensions every
+ring would be a cluster of its own. In plan the rings of one object fall together, and the number
+of points that reach the clusterer is halved. What it costs: a thing that hangs over another below
+`max_height_m` is one with it, as it is for a ground vehicle.
+
+The grid is fixed in the world, so that a standing object keeps its cells while the robot moves. A
+cell is represented by the mean of its points, not by its centre, which would move edges by half a
+cell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adcbf_cli.core.types import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """The occupied cells: mean_m (k, 2), and for each of the n points its cell, point_cell (n,)."""
+
+    mean_m: FloatArray
+    point_cell: IntArray
+
+    def __len__(self) -> int:
+        return len(self.mean_m)
+
+
+def occupied_cells(xy_m: FloatArray, cell_m: float, origin_m: FloatArray | None = None) -> Cells:
+    """The occupied cells of points (n, 2), in order of their column and row.
+
+    origin_m: (2,) where the points' own origin lies in the frame that the grid is fixed in.
+    """
+    if len(xy_m) == 0:
+        return Cells(np.zeros((0, 2)), np.zeros(0, dtype=np.int64))
+    phase = np.zeros(2) if origin_m is None else np.mod(origin_m, cell_m)
+    index = np.floor((xy_m + phase) / cell_m).astype(np.int64)
+    index -= index.min(axis=0)
+    key = index[:, 0] * (int(index[:, 1].max()) + 1) + index[:, 1]
+    _, point_cell, count = np.unique(key, return_inverse=True, return_counts=True)
+    mean = np.stack([np.bincount(point_cell, xy_m[:, axis]) / count for axis in range(2)], axis=1)
+    return Cells(mean, point_cell.astype(np.int64))
+
+
+def not_outlying(xy_m: FloatArray, neighbours: int, std_ratio: float) -> BoolArray:
+    """Statistical outlier removal (Rusu et al., Towards 3D point cloud based object maps, 2008).
+
+    A point stays when the mean distance to its nearest `neighbours` is at most the cloud's mean of
+    that figure plus `std_ratio` standard deviations. With fewer points than that, all stay.
+    """
+    from scipy.spatial import cKDTree
+
+    if len(xy_m) <= neighbours:
+        return np.ones(len(xy_m), dtype=bool)
+    distance, _ = cKDTree(xy_m).query(xy_m, k=neighbours + 1)
+    mean = distance[:, 1:].mean(axis=1)
+    keep: BoolArray = mean <= mean.mean() + std_ratio * mean.std()
+    return keep

@@ -1,0 +1,281 @@
+"""Tell ground from obstacles in a 3-D scan, on slopes and rough ground.
+
+All heights are in the levelled sensor frame (origin at the sensor, z against gravity, heading kept).
+
+1. A *coarse plane* through the lowest points of 1 m cells, by deterministic RANSAC, gives the slope
+   that the robot stands on and the sensor's height above it. Each point's height is then measured
+   from that plane (a shear: upright things stay upright), so that a 20 degree slope looks flat.
+2. Patchwork++ (Lee et al., IROS 2022) fits planes to small patches of what is left and so follows
+   the ground's shape. Its patches are sized as in the publication for a car's 80 m, and kept about
+   2 m long for the smaller surroundings of a small robot.
+3. A *height map* of the ground that it found says for each remaining point how high above the local
+   ground it is. That drops overhangs, the remains in patches with too few points for a fit, and
+   roofs that were taken for ground.
+
+The alternatives 'plane' and 'band' stop after step 1: points within a clearance of the coarse plane,
+or of the horizontal plane one sensor height below, are ground.
+
+What lies below the ground (reflections in wet floors and windows, ditches) is no obstacle.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from adcbf_cli.core.config import PerceptionConfig
+from adcbf_cli.core.types import BoolArray, FloatArray, Notes
+
+if TYPE_CHECKING:
+    from pypatchworkpp import patchworkpp
+
+FIT_RADIUS_M = 20.0
+"""Ground is fitted to at least these surroundings, however small the crop."""
+
+CAR_RINGS = (2, 4, 4, 4)
+CAR_SECTORS = (16, 32, 54, 32)
+PATCH_M = 2.0
+"""Patchwork++'s published zones for a car, and the size that its patches keep in smaller ones."""
+
+MAX_SLOPE = 0.7
+"""Steepest coarse plane: 35 degrees."""
+
+STEEPEST_DROP = 0.36
+"""Ground falls at most 20 degrees below the coarse plane; points lower still are reflections."""
+
+DROP_M = 0.5
+"""... plus this near the robot."""
+
+PLANE_TOLERANCE_M = 0.15
+MAX_SENSOR_HEIGHT_M = 5.0
+MIN_PLANE_CELLS = 12
+HYPOTHESES = 200
+MAP_CELL_M = 0.5
+ROOF_WINDOW_CELLS = 7
+"""A raised patch of ground that a 3.5 m square does not fit into is no ground but a roof."""
+
+ROOF_M = 0.5
+"""... if it stands out by more than this."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """z = slope_x * x + slope_y * y + offset_m."""
+
+    slope_x: float
+    slope_y: float
+    offset_m: float
+
+    def height(self, points_m: FloatArray) -> FloatArray:
+        """Vertical distance (n,) of points (n, 3) above the plane."""
+        above: FloatArray = (
+            points_m[:, 2] - self.slope_x * points_m[:, 0] - self.slope_y * points_m[:, 1] - self.offset_m
+        )
+        return above
+
+
+def coarse_plane(points_m: FloatArray, sensor_height_m: float | None) -> Plane | None:
+    """The plane below the sensor that most 1 m cells' lowest points lie on, or None without one.
+
+    points_m: (n, 3), levelled sensor frame. sensor_height_m fixes the plane's height below the sensor
+    to within half a metre. Deterministic: the hypotheses are drawn with a fixed seed.
+    """
+    lows = _lowest_of_cells(points_m)
+    if len(lows) < MIN_PLANE_CELLS:
+        return None
+    draw = np.random.default_rng(0).integers(0, len(lows), size=(HYPOTHESES, 3))
+    draw = draw[(draw[:, 0] != draw[:, 1]) & (draw[:, 1] != draw[:, 2]) & (draw[:, 0] != draw[:, 2])]
+    planes = _planes_through(lows[draw])
+    planes = planes[_plausible(planes, sensor_height_m)]
+    if len(planes) == 0:
+        return None
+    best = planes[np.argmax(_support(planes, lows))]
+    for _ in range(3):
+        near = np.abs(lows[:, 2] - lows[:, :2] @ best[:2] - best[2]) < PLANE_TOLERANCE_M
+        design = np.column_stack([lows[near, :2], np.ones(int(near.sum()))])
+        fitted, _, rank, _ = np.linalg.lstsq(design, lows[near, 2], rcond=None)
+        if rank < 3 or not _plausible(fitted[None], sensor_height_m)[0]:
+            break
+        best = fitted
+    return Plane(*(float(value) for value in best))
+
+
+def _lowest_of_cells(points_m: FloatArray) -> FloatArray:
+    """The lowest point of each occupied 1 m cell, (k, 3). Points far below the horizontal are left
+    out, so that no reflection is the lowest one."""
+    distance = np.hypot(points_m[:, 0], points_m[:, 1])
+    plausible = points_m[:, 2] > -MAX_SENSOR_HEIGHT_M - MAX_SLOPE * distance
+    points_m = points_m[plausible & (distance < FIT_RADIUS_M)]
+    if len(points_m) == 0:
+        return points_m
+    side = 2 * int(FIT_RADIUS_M)
+    column = np.floor(points_m[:, 0] + FIT_RADIUS_M).astype(np.int64)
+    row = np.floor(points_m[:, 1] + FIT_RADIUS_M).astype(np.int64)
+    cell = column * side + row
+    lowest = np.full(side * side, np.inf)
+    np.minimum.at(lowest, cell, points_m[:, 2])
+    candidates = np.flatnonzero(points_m[:, 2] == lowest[cell])
+    _, first = np.unique(cell[candidates], return_index=True)
+    return points_m[candidates[first]]
+
+
+def _planes_through(triples_m: FloatArray) -> FloatArray:
+    """Planes (k, 3) as (slope_x, slope_y, offset) through three points each, (k, 3, 3); vertical and
+    undefined ones are left out."""
+    one = triples_m[:, 1] - triples_m[:, 0]
+    other = triples_m[:, 2] - triples_m[:, 0]
+    normal = np.cross(one, other)
+    upright = np.abs(normal[:, 2]) > 1e-3
+    normal, anchor = normal[upright], triples_m[upright, 0]
+    slope = -normal[:, :2] / normal[:, 2:]
+    return np.column_stack([slope, anchor[:, 2] - (slope * anchor[:, :2]).sum(axis=1)])
+
+
+def _plausible(planes: FloatArray, sensor_height_m: float | None) -> BoolArray:
+    """Not too steep, and at a possible height below the sensor."""
+    gentle = np.hypot(planes[:, 0], planes[:, 1]) < MAX_SLOPE
+    if sensor_height_m is None:
+        below: BoolArray = (planes[:, 2] < -0.05) & (planes[:, 2] > -MAX_SENSOR_HEIGHT_M)
+    else:
+        below = np.abs(planes[:, 2] + sensor_height_m) < 0.5
+    result: BoolArray = gentle & below
+    return result
+
+
+def _support(planes: FloatArray, lows_m: FloatArray) -> FloatArray:
+    """Cells on each plane minus cells below it: the ground is the lowest surface, not a car's roof."""
+    residual = lows_m[:, 2] - planes[:, :2] @ lows_m[:, :2].T - planes[:, 2:]
+    on = np.maximum(0.0, 1.0 - (residual / PLANE_TOLERANCE_M) ** 2).sum(axis=1)
+    support: FloatArray = on - (residual < -2 * PLANE_TOLERANCE_M).sum(axis=1)
+    return support
+
+
+class GroundRemoval:
+    """Splits scan after scan; Patchwork++'s adaptive thresholds and the sensor's height are kept in
+    between, so that the result depends on the sequence of scans, and on nothing else."""
+
+    def __init__(self, config: PerceptionConfig, notes: Notes) -> None:
+        self._config = config
+        self._notes = notes
+        self._height_m = config.sensor_height_m
+        self._plane: Plane | None = None
+        self._patchwork: patchworkpp | None = None
+
+    @property
+    def fit_radius_m(self) -> float:
+        """The surroundings to hand in: the crop's corners, and at least FIT_RADIUS_M."""
+        return float(max(FIT_RADIUS_M, np.sqrt(2.0) * self._config.range_m))
+
+    def heights(self, points_m: FloatArray) -> FloatArray:
+        """Each point's height (n,) above the local ground; -inf for ground and for what lies below.
+
+        points_m: (n, 3), levelled sensor frame, the surroundings up to `fit_radius_m`.
+        """
+        if self._config.ground == "none" or len(points_m) == 0:
+            return points_m[:, 2].copy()
+        plane = self._coarse_plane(points_m)
+        if plane is None:
+            self._notes.warn(
+                "no ground plane was found in the first scans, and perception.sensor_height_m is not set: "
+                "nothing was taken for ground there"
+            )
+            return points_m[:, 2].copy()
+        above = plane.height(points_m)
+        if self._config.ground == "patchwork":
+            above = self._above_patches(points_m, above, -plane.offset_m)
+        return np.where(above > self._config.ground_clearance_m, above, -np.inf)
+
+    def _coarse_plane(self, points_m: FloatArray) -> Plane | None:
+        """This scan's plane; where it shows none, the last one; where there is none, a level one."""
+        found = coarse_plane(points_m, self._height_m)
+        if found is not None:
+            self._plane = found
+            if self._height_m is None:
+                self._height_m = -found.offset_m
+        elif self._plane is None and self._height_m is not None:
+            self._plane = Plane(0.0, 0.0, -self._height_m)
+        if self._config.ground == "band" and self._height_m is not None:
+            return Plane(0.0, 0.0, -self._height_m)
+        return self._plane
+
+    def _above_patches(self, points_m: FloatArray, above_plane_m: FloatArray, sensor_height_m: float) -> FloatArray:
+        """Heights above Patchwork++'s ground; -inf for its ground points that are no roofs."""
+        if self._patchwork is None:
+            self._patchwork = _new_patchwork(sensor_height_m, self._config.min_range_m, self.fit_radius_m)
+        distance = np.hypot(points_m[:, 0], points_m[:, 1])
+        fitted = np.flatnonzero(above_plane_m > -DROP_M - STEEPEST_DROP * distance)
+        flattened = np.column_stack([points_m[fitted, :2], above_plane_m[fitted] - sensor_height_m])
+        self._patchwork.estimateGround(flattened.astype(np.float32))
+        ground = fitted[self._patchwork.getGroundIndices()]
+        if len(ground) == 0:
+            return above_plane_m
+        return _above_ground_map(points_m[:, :2], above_plane_m, ground)
+
+
+def _above_ground_map(xy_m: FloatArray, height_m: FloatArray, ground: np.ndarray) -> FloatArray:
+    """Height (n,) above the nearest ground: the mean of the ground points in a 0.5 m cell, or in the
+    nearest cell that has some. Ground points get -inf, unless they stand out of the map as a roof."""
+    from scipy.ndimage import distance_transform_edt, grey_opening
+
+    index = np.floor(xy_m / MAP_CELL_M).astype(np.int64)
+    index -= index.min(axis=0)
+    shape = tuple(index.max(axis=0) + 1)
+    flat = index[:, 0] * shape[1] + index[:, 1]
+    count = np.bincount(flat[ground], minlength=shape[0] * shape[1])
+    total = np.bincount(flat[ground], height_m[ground], minlength=shape[0] * shape[1])
+    level = (total / np.maximum(count, 1)).reshape(shape)
+    empty = (count == 0).reshape(shape)
+    nearest = distance_transform_edt(empty, return_distances=False, return_indices=True)
+    level = level[tuple(nearest)]
+    opened = grey_opening(level, size=(ROOF_WINDOW_CELLS, ROOF_WINDOW_CELLS))
+    level = np.where(level - opened > ROOF_M, opened, level)
+    above = height_m - level.ravel()[flat]
+    is_ground = np.zeros(len(xy_m), dtype=bool)
+    is_ground[ground] = True
+    return np.where(is_ground & (above < ROOF_M), -np.inf, above)
+
+
+def _new_patchwork(sensor_height_m: float, min_range_m: float, max_range_m: float) -> patchworkpp:
+    """Patchwork++ with its publication's parameters, but zones for these surroundings, and without the
+    reflected noise removal, which would want intensities in one maker's scale."""
+    import pypatchworkpp
+
+    parameters = pypatchworkpp.Parameters()
+    parameters.verbose = False
+    parameters.enable_RNR = False
+    parameters.sensor_height = sensor_height_m
+    parameters.min_range = min_range_m
+    parameters.max_range = max(max_range_m, 2 * min_range_m)
+    bounds = min_range_m + (parameters.max_range - min_range_m) * np.array([0.0, 1 / 8, 1 / 4, 1 / 2, 1.0])
+    width = np.diff(bounds)
+    around = np.pi * (bounds[:-1] + bounds[1:])
+    parameters.num_rings_each_zone = [
+        int(np.clip(round(w / PATCH_M), 1, car)) for w, car in zip(width, CAR_RINGS, strict=True)
+    ]
+    parameters.num_sectors_each_zone = [
+        int(np.clip(round(a / PATCH_M), 4, car)) for a, car in zip(around, CAR_SECTORS, strict=True)
+    ]
+    with _quiet_stdout():
+        return pypatchworkpp.patchworkpp(parameters)
+
+
+@contextmanager
+def _quiet_stdout() -> Iterator[None]:
+    """Patchwork++ greets on the process's stdout, which is for results: send that to nowhere."""
+    try:
+        kept = os.dup(1)
+    except OSError:  # stdout is closed: nothing can be printed on it
+        yield
+        return
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
