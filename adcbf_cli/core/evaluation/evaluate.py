@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from adcbf_cli.core.evaluation.formulas import bearing, rotate
 from adcbf_cli.core.evaluation.lives import TrackLives, reported
 from adcbf_cli.core.evaluation.report import Report
 from adcbf_cli.core.evaluation.scene import Scene
-from adcbf_cli.core.types import Clusters, FloatArray, IntArray, Notes, Predictions, Tracks, Truth
+from adcbf_cli.core.types import BoolArray, Clusters, FloatArray, IntArray, Notes, Predictions, Tracks, Truth
 
 DEFAULT_RANGE_M = 20.0
 
@@ -79,12 +79,13 @@ def _together(frames: Iterable[Clusters], tracks: Iterable[Tracks]) -> Iterator[
         raise AdcbfError(problem) from None
 
 
-def _select(tracks: Tracks, keep: np.ndarray) -> Tracks:
-    per_track = (
-        "track_id", "status", "state", "covariance", "radius_m", "height_m", "is_static", "cluster_id", "age_s",
-        "hits", "misses", "nis",
-    )  # fmt: skip
-    return replace(tracks, **{name: getattr(tracks, name)[keep] for name in per_track})
+_OF_THE_FRAME = {"frame_index", "stamp_ns", "world_from_sensor", "model"}
+
+
+def _select(tracks: Tracks, keep: BoolArray) -> Tracks:
+    """The same record with some of its tracks only."""
+    columns = {f.name: getattr(tracks, f.name) for f in fields(tracks) if f.name not in _OF_THE_FRAME}
+    return replace(tracks, **{name: None if column is None else column[keep] for name, column in columns.items()})
 
 
 class _Evaluation:

@@ -6,23 +6,24 @@ import numpy as np
 
 from adcbf_cli.core.evaluation.paths import Paths
 from adcbf_cli.core.evaluation.report import Metric
-from adcbf_cli.core.types import NO_ID, FloatArray, IntArray, Tracks, TrackStatus
+from adcbf_cli.core.types import NO_ID, BoolArray, FloatArray, IntArray, Tracks, TrackStatus
 
 RESTART_S = 2.0
 RESTART_M = 1.0
 SHORT_S = 1.0
 
 
-def reported(tracks: Tracks) -> np.ndarray:
+def reported(tracks: Tracks) -> BoolArray:
     """(n,) which tracks the tool stands by: confirmed or coasting ones."""
-    return np.isin(tracks.status, (TrackStatus.CONFIRMED, TrackStatus.COASTING))
+    known: BoolArray = np.isin(tracks.status, (TrackStatus.CONFIRMED, TrackStatus.COASTING))
+    return known
 
 
 class TrackLives:
     """Every reported track's positions, as compact arrays; feed it every frame."""
 
     def __init__(self) -> None:
-        self._parts: list[tuple[IntArray, IntArray, FloatArray, np.ndarray, np.ndarray]] = []
+        self._parts: list[tuple[IntArray, IntArray, FloatArray, BoolArray, IntArray]] = []
         self._created: set[int] = set()
         self.frames = 0
         self.clusters = 0
