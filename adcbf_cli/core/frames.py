@@ -164,9 +164,10 @@ class Trajectory:
     ) -> tuple[FloatArray, BoolArray]:
         """Poses at these times: (k, 4, 4) parent_from_child, and (k,) whether each is known.
 
-        Unknown where no two samples at most `max_gap_ns` apart enclose the time. allow_rest: a wider gap is bridged
-        where the pose is the same on both sides. extrapolate_ns: how far beyond either end the motion of the last
-        two samples is carried on. Matrices of unknown times are the identity.
+        Unknown where no two samples at most `max_gap_ns` apart enclose the time. extrapolate_ns: how far beyond
+        either end the motion of the last two samples is carried on. allow_rest: where the two samples are the same
+        pose, a wider gap between them is bridged, and `max_gap_ns` beyond an end is known. Matrices of unknown
+        times are the identity.
         """
         wanted = np.asarray(stamps_ns, dtype=np.int64)
         matrices = np.tile(np.eye(4), (len(wanted), 1, 1))
@@ -174,19 +175,20 @@ class Trajectory:
             return matrices, np.zeros(len(wanted), dtype=np.bool_)
         stamps, positions, rotations = self._as_arrays()
         if len(stamps) == 1:
-            known = np.abs(wanted - stamps[0]) <= extrapolate_ns
+            known = np.abs(wanted - stamps[0]) <= (max_gap_ns if allow_rest else extrapolate_ns)
             matrices[known] = pose_matrix(positions[0], rotations[0])
             return matrices, known
-        right = np.clip(np.searchsorted(stamps, wanted, side="left"), 1, len(stamps) - 1)
+        found = np.searchsorted(stamps, wanted, side="left")
+        right = np.clip(found, 1, len(stamps) - 1)
         left = right - 1
-        exact = wanted == stamps[np.clip(np.searchsorted(stamps, wanted, side="left"), 0, len(stamps) - 1)]
+        exact = wanted == stamps[np.clip(found, 0, len(stamps) - 1)]
         span = stamps[right] - stamps[left]
         beyond = np.maximum(stamps[0] - wanted, wanted - stamps[-1])
-        known = (beyond <= extrapolate_ns) & ((span <= max_gap_ns) | exact)
+        known = exact | ((beyond <= extrapolate_ns) & (span <= max_gap_ns))
         if allow_rest:
             same = np.isclose(positions[left], positions[right], rtol=0, atol=1e-6).all(axis=1)
             same &= np.abs(np.sum(rotations[left] * rotations[right], axis=1)) > 1 - 1e-12
-            known |= (beyond <= extrapolate_ns) & same
+            known |= same & (beyond <= max_gap_ns)
         fraction = (wanted - stamps[left]) / span
         turned = slerp(rotations[left], rotations[right], fraction)
         moved = positions[left] + fraction[:, None] * (positions[right] - positions[left])

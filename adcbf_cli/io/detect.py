@@ -37,9 +37,10 @@ DRIVER_TOPICS = frozenset(
 """Names under which drivers publish the sensor's own data."""
 
 _DERIVED_WORDS = (
-    "filtered project ground obstacle segment cluster downsample voxel map accumulated registered stable assembled "
-    "merged costmap depth camera stereo realsense rgbd zed deskew cropped local"
-).split()
+    *("filtered", "project", "ground", "obstacle", "segment", "cluster", "downsample", "voxel", "map", "cropped"),
+    *("accumulated", "registered", "stable", "assembled", "merged", "costmap", "deskew", "local"),
+    *("depth", "camera", "stereo", "realsense", "rgbd", "zed"),
+)
 """In a topic's name: computed from a LiDAR, or from a camera."""
 
 _FIXED_FRAMES = frozenset({"map", "odom", "world", "earth", "odom_combined", "global"})
@@ -201,7 +202,7 @@ def choose_pose(
         return Choice((topic,), "--pose")
     usable_topics = [item for item in candidates if not _is_command(item.topic)]
     for tier, why in (
-        ([item for item in usable_topics if item.msgtype == ODOMETRY], "odometry"),
+        ([item for item in usable_topics if item.msgtype == ODOMETRY], "odometry topic"),
         ([item for item in usable_topics if item.msgtype != ODOMETRY], "pose topic"),
     ):
         if not tier:
@@ -211,11 +212,11 @@ def choose_pose(
         if len(chosen) > 1:
             listed = ", ".join(f"--pose {item.topic}" for item in sorted(chosen, key=lambda item: item.topic))
             raise UsageError(
-                f"several {why} topics could be the sensor's; choose one: {listed}, or --pose none (standing still)"
+                f"several {why}s could be the sensor's; choose one: {listed}, or --pose none (standing still)"
             )
         others = [item.topic for item in usable_topics if item is not chosen[0]]
         rest = f"; not taken: {', '.join(others)}" if others else ""
-        return Choice((chosen[0].topic,), f"the {'only ' if len(tier) == 1 else ''}{why} topic{rest}")
+        return Choice((chosen[0].topic,), f"the {'only ' if len(tier) == 1 else ''}{why}{rest}")
     if tf_moves:
         return Choice(("tf",), "no odometry or pose topic; /tf carries the sensor")
     return Choice(("none",), "the log has no odometry, pose topic or moving tf that reaches the sensor")

@@ -23,7 +23,7 @@ MAX_BLOCK_BYTES = 1 << 30
 
 @dataclass(frozen=True)
 class Connection:
-    """A topic as recorded. `msgtype` is in ROS 2 form (sensor_msgs/msg/PointCloud2); encoding 'cdr', 'ros1' or other."""
+    """A topic as recorded. msgtype in ROS 2 form: sensor_msgs/msg/PointCloud2; encoding 'cdr', 'ros1' or other."""
 
     topic: str
     msgtype: str
@@ -106,6 +106,10 @@ class Log(ABC):
     @abstractmethod
     def topics(self) -> tuple[TopicInfo, ...]:
         """Statistics of every topic, sorted by name; reads the index, or the whole log where there is none."""
+
+    @abstractmethod
+    def start_ns(self) -> int:
+        """When the first message was recorded; 0 in an empty log."""
 
     @abstractmethod
     def close(self) -> None: ...

@@ -9,27 +9,68 @@ from adcbf_cli.core.config import ReadConfig
 from adcbf_cli.core.errors import AdcbfError
 from adcbf_cli.core.frames import StampedTransform
 from adcbf_cli.core.types import Notes, Scan
+from adcbf_cli.io.bag_log import BagLog
 from adcbf_cli.io.log_base import Log
+from adcbf_cli.io.mcap_log import MAGIC as MCAP_MAGIC
 from adcbf_cli.io.mcap_log import McapLog
+from adcbf_cli.io.pcd_folder import PcdScans, pcd_files
 from adcbf_cli.io.pointcloud import ScanDecoder
 from adcbf_cli.io.ros_messages import Undecodable, transforms
+from adcbf_cli.io.rosbag2_log import Rosbag2Log, is_bag_folder, read_metadata, split_files
 from adcbf_cli.io.selection import Plan, plan_reading
+from adcbf_cli.io.sqlite_log import MAGIC as SQLITE_MAGIC
+from adcbf_cli.io.sqlite_log import SqliteLog
 
 Event = Scan | StampedTransform | tuple[StampedTransform, ...]
 """What a source gives: a scan, a pose of the pose source, or the transforms of one tf message."""
 
 
+_NOT_A_LOG = "adcbf reads MCAP, ROS 1 bags, rosbag2 folders (.db3, .mcap) and folders of .pcd scans"
+
+
 def log_files(path: Path) -> tuple[Path, ...]:
     """The files that make up a log, in a fixed order. Raises AdcbfError where there is no log."""
-    if not path.exists():
-        raise AdcbfError(f"{path} does not exist")
+    if path.is_dir():
+        if is_bag_folder(path):
+            return split_files(path, read_metadata(path))[0]
+        return pcd_files(path)
+    _kind(path)
     return (path,)
 
 
 def open_log(path: Path, notes: Notes) -> Log:
-    """Open a recorded log. Raises AdcbfError where it is none."""
-    log_files(path)
-    return McapLog(path, notes)
+    """Open a recorded log of ROS messages. Raises AdcbfError where it is none."""
+    if path.is_dir():
+        if is_bag_folder(path):
+            return Rosbag2Log(path, notes)
+        raise AdcbfError(f"{path} is a folder without .db3 or .mcap files; {_NOT_A_LOG}")
+    kind = _kind(path)
+    if kind == "mcap":
+        return McapLog(path, notes)
+    if kind == "bag":
+        return BagLog(path, notes)
+    if kind == "sqlite":
+        beside = read_metadata(path.parent)
+        return SqliteLog(path, notes, str(beside.get("compression_mode", "")).lower() == "message")
+    raise AdcbfError(f"{path} holds no recorded topics; {_NOT_A_LOG}")
+
+
+def _kind(path: Path) -> str:
+    """'mcap', 'bag', 'sqlite' or 'pcd' by a file's first bytes. Raises AdcbfError for anything else."""
+    try:
+        with path.open("rb") as file:
+            head = file.read(64)
+    except FileNotFoundError as error:
+        raise AdcbfError(f"{path} does not exist") from error
+    except OSError as error:
+        raise AdcbfError(f"{path} cannot be read: {error.strerror}") from error
+    for kind, magic in (("mcap", MCAP_MAGIC), ("bag", b"#ROSBAG V"), ("sqlite", SQLITE_MAGIC)):
+        if head.startswith(magic):
+            return kind
+    if path.suffix.lower() == ".pcd":
+        return "pcd"
+    what = "is empty" if not head else "is not a log"
+    raise AdcbfError(f"{path} {what}; {_NOT_A_LOG}")
 
 
 class LogScans:
@@ -67,8 +108,13 @@ class LogScans:
         self._log.close()
 
 
-def open_scans(path: Path, config: ReadConfig, notes: Notes) -> LogScans:
-    """Open a log for reading frames."""
+ScanSource = LogScans | PcdScans
+
+
+def open_scans(path: Path, config: ReadConfig, notes: Notes) -> ScanSource:
+    """Open a log for reading frames: a recorded log, a folder of PCD scans, or one PCD scan."""
+    if (path.is_dir() and not is_bag_folder(path)) or (path.is_file() and _kind(path) == "pcd"):
+        return PcdScans(path, config, notes)
     log = open_log(path, notes)
     try:
         return LogScans(log, plan_reading(log, config, notes))

@@ -12,6 +12,7 @@ import struct
 import zlib
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO
@@ -105,6 +106,9 @@ class McapLog(Log):
     def close(self) -> None:
         self._file.close()
 
+    def start_ns(self) -> int:
+        return min((block.start_ns for block in self._blocks), default=0)
+
     def count(self, topic: str) -> int | None:
         if self._counts is None:
             return None
@@ -119,7 +123,7 @@ class McapLog(Log):
             for block in self._blocks
             if wanted is None or block.channels is None or not wanted.isdisjoint(block.channels)
         ]
-        return merge_lazily((block.start_ns, lambda b=block: self._block_messages(b, wanted)) for block in blocks)
+        return merge_lazily([(block.start_ns, partial(self._block_messages, block, wanted)) for block in blocks])
 
     def topics(self) -> tuple[TopicInfo, ...]:
         statistics = {connection.topic: TopicStatistics(connection) for connection in self.connections}

@@ -49,9 +49,12 @@ class PointTimes:
         if self._unit is None and high > low and len(column) >= _ENOUGH_POINTS:
             self._unit = unit
         scale = _NS_PER[unit]
-        # Subtracting the least value first is exact, also for float64 seconds since 1970.
-        since_low = column.astype(np.float64) - low if column.dtype.kind == "f" else column.astype(np.int64) - low
-        offsets = np.rint(since_low * scale).astype(np.int64) if column.dtype.kind == "f" else since_low * scale
+        offsets: IntArray
+        if column.dtype.kind == "f":
+            # Subtracting the least value first is exact, also for float64 seconds since 1970.
+            offsets = np.rint((column.astype(np.float64) - low) * scale).astype(np.int64)
+        else:
+            offsets = (column.astype(np.int64) - low) * scale
         if offsets.max() > MAX_SCAN_NS:
             self._notes.warn(f"{self._topic}: field '{name}' spans {offsets.max() * 1e-9:.3g} s; not used as time")
             return None

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from adcbf_cli.core.errors import AdcbfError, UsageError
-from adcbf_cli.core.frames import quaternion_from_rotation
+from adcbf_cli.core.frames import StampedTransform, quaternion_from_rotation
 from adcbf_cli.core.types import FloatArray, IntArray, Notes
 from adcbf_cli.io.detect import match_topic
 from adcbf_cli.io.logs import open_log
@@ -45,7 +45,7 @@ def read_pose_topic(path: Path, topic: str, notes: Notes) -> StampedPoses:
             raise UsageError(f"{path.name} has no topic {topic}; its pose topics: {poses}")
         if types[name] not in POSE_TYPES:
             raise UsageError(f"{topic} in {path.name} is a {types[name]}; pose topics: {poses}")
-        rows = []
+        rows: list[StampedTransform] = []
         undecodable = 0
         for message in log.messages((name,)):
             try:
