@@ -45,12 +45,20 @@ def evaluate(shared: Shared, truth: TruthOption = None, fail_on: FailOn = None) 
 
         adcbf evaluate log.adcbf -t truth.csv --fail-on "detection.recall<0.9" --fail-on "prediction.rmse_x_m>0.1"
     """
+    score_run(shared, truth, fail_on or [], with_facts=False)
+
+
+def score_run(shared: Shared, truth: str | None, fail_on: list[str], with_facts: bool) -> None:
+    """Runs the stages that are missing, evaluates, writes the report, prints it, sets the exit code.
+
+    with_facts: show the stages' own summary too, as `adcbf run` does.
+    """
     from adcbf_cli.commands.stages import plan_job, run_stages
-    from adcbf_cli.commands.summary import exit_for
+    from adcbf_cli.commands.summary import exit_for, print_facts, summarise
     from adcbf_cli.core.evaluation.thresholds import check_names, missed, parse_threshold
     from adcbf_cli.io.report import report_document, write_report
 
-    thresholds = [parse_threshold(text) for text in fail_on or ()]
+    thresholds = [parse_threshold(text) for text in fail_on]
     job = plan_job(shared)
     if thresholds:
         check_names(thresholds, possible_metrics(job.config.evaluation))
@@ -60,9 +68,14 @@ def evaluate(shared: Shared, truth: TruthOption = None, fail_on: FailOn = None) 
     document = report_document(report, _provenance(outcome, truth, thresholds, failures))
     with outcome.folder.locked():
         write_report(outcome.folder.path, document, report)
+    if with_facts:
+        facts = summarise(outcome, "predict")
+        document = {"run": facts, "report": document}
     if shared.json_output:
         print_json(document)
     else:
+        if with_facts:
+            print_facts(outcome, facts)
         _print_report(outcome.folder.path, report)
     show_notes(outcome.notes)
     for line in failures:

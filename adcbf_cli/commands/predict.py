@@ -3,22 +3,33 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from adcbf_cli.commands.options import Shared, shared_options
 
+if TYPE_CHECKING:
+    from adcbf_cli.commands.stages import Outcome
+
 Steps = Annotated[int | None, typer.Option("--steps", metavar="N", help="Steps ahead; default 30.")]
 StepTime = Annotated[float | None, typer.Option("--step", metavar="S", help="Seconds a step; default 0.1.")]
 CalibrationFile = Annotated[
-    Path | None, typer.Option("--calibration", help="Calibration file; default: the log's own past.")
+    Path | None,
+    typer.Option("--calibration", metavar="FILE", help="Use this calibration; default: the log's own past."),
+]
+SaveCalibration = Annotated[
+    Path | None, typer.Option("--save-calibration", metavar="FILE", help="Learn one from this log, for use on others.")
 ]
 
 
 @shared_options
 def predict(
-    shared: Shared, steps: Steps = None, step_s: StepTime = None, calibration_file: CalibrationFile = None
+    shared: Shared,
+    steps: Steps = None,
+    step_s: StepTime = None,
+    calibration_file: CalibrationFile = None,
+    save_calibration: SaveCalibration = None,
 ) -> None:
     """Predict every confirmed track: N steps of position, covariance and calibrated radius.
 
@@ -30,7 +41,9 @@ def predict(
 
         adcbf predict log.adcbf --steps 50 --step 0.1
 
-        adcbf predict log.adcbf --calibration calibration.json
+        adcbf predict monday.mcap --save-calibration monday.json
+
+        adcbf predict tuesday.mcap --calibration monday.json
     """
     from adcbf_cli.commands.stages import plan_job, run_stages
     from adcbf_cli.commands.summary import finish
@@ -41,4 +54,22 @@ def predict(
         "prediction.calibration": "file" if calibration_file else None,
     }
     job = plan_job(shared, overrides, calibration_file)
-    finish(run_stages(job, "predict", shared.force), "predict", shared.json_output)
+    outcome = run_stages(job, "predict", shared.force)
+    if save_calibration is not None:
+        _save_calibration(save_calibration, outcome)
+    finish(outcome, "predict", shared.json_output)
+
+
+def _save_calibration(target: Path, outcome: Outcome) -> None:
+    """Writes the conformal radii that all of this log's tracks give, for logs to come."""
+    import json
+
+    from adcbf_cli.core.prediction.predictor import learn_calibration
+    from adcbf_cli.io.atomic import write_text_atomically
+    from adcbf_cli.io.tables import read_tracks
+
+    config, source = outcome.manifest.config, outcome.manifest.source
+    calibration = learn_calibration(
+        read_tracks(outcome.folder.path), config.prediction, config.tracking, outcome.notes, Path(source.path).name
+    )
+    write_text_atomically(target, json.dumps(calibration.to_dict(), indent=2, allow_nan=False) + "\n")

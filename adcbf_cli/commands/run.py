@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
+from adcbf_cli.commands.evaluate import FailOn, TruthOption, score_run
 from adcbf_cli.commands.options import Shared, shared_options
 
 
 @shared_options
-def run(shared: Shared) -> None:
-    """Cluster, track and predict in one pass, then evaluate."""
+def run(shared: Shared, truth: TruthOption = None, fail_on: FailOn = None) -> None:
+    """Cluster, track, predict and evaluate, in one pass over the log.
+
+    Examples:
+
+        adcbf run log.mcap
+
+        adcbf run log.mcap --range 20 --truth labels.csv -o out/log.adcbf
+
+        adcbf run log.bag --json --fail-on "later_seen.rmse_x_m>0.2" > result.json
+    """
+    score_run(shared, truth, fail_on or [], with_facts=True)

@@ -11,6 +11,7 @@ A stage whose valid output is already in the folder is read back instead of comp
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
@@ -41,6 +42,7 @@ from adcbf_cli.io.settings import resolve_config
 from adcbf_cli.io.tables import TableWriter
 
 if TYPE_CHECKING:
+    from adcbf_cli.core.prediction.calibration import Calibration
     from adcbf_cli.io.frame_reader import FrameReader
 
 Record = TypeVar("Record", Clusters, Tracks, Predictions)
@@ -218,7 +220,18 @@ def _open_writers(
 def _predict(job: Job, tracks: Iterable[Tracks], notes: Notes, timer: RecordingTimer) -> Iterator[Predictions]:
     from adcbf_cli.core.prediction.predictor import predict_tracks
 
-    yield from predict_tracks(tracks, job.config.prediction, job.config.tracking, notes, timer)
+    calibration = None if job.calibration is None else _parse_calibration(job.calibration)
+    yield from predict_tracks(tracks, job.config.prediction, job.config.tracking, notes, timer, calibration)
+
+
+def _parse_calibration(text: str) -> Calibration:
+    from adcbf_cli.core.prediction.calibration import Calibration
+
+    try:
+        document = json.loads(text)
+    except (ValueError, RecursionError):
+        raise AdcbfError("the calibration file is not JSON; `adcbf predict --save-calibration` writes one") from None
+    return Calibration.from_dict(document)
 
 
 def _timed(frames: Iterable[Frame], timer: RecordingTimer) -> Iterator[Frame]:

@@ -99,11 +99,11 @@ def _track_facts(folder: RunFolder) -> list[tuple[str, Any, str]]:
 
     tracks = pq.read_table(folder.table("tracks"), columns=["track_id", "status", "is_static", "age_s"])
     confirmed = tracks.filter(pc.equal(tracks["status"], "confirmed"))
-    moving = confirmed.filter(pc.invert(confirmed["is_static"]))
-    longest = pc.max(confirmed["age_s"]).as_py()
+    each = confirmed.group_by("track_id", use_threads=False).aggregate([("is_static", "max"), ("age_s", "max")])
+    longest = pc.max(each["age_s_max"]).as_py()
     return [
-        ("confirmed tracks", pc.count_distinct(confirmed["track_id"]).as_py(), ""),
-        ("of which moved", pc.count_distinct(moving["track_id"]).as_py(), ""),
+        ("confirmed tracks", len(each), ""),
+        ("of which stood still at some time", pc.sum(each["is_static_max"]).as_py() or 0, ""),
         ("longest track", None if longest is None else round(longest, 1), "s"),
     ]
 
