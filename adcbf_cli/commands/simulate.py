@@ -104,7 +104,7 @@ class _OdometrySample(NamedTuple):
 
 
 def _odometry(simulator: Simulator) -> Iterator[_OdometrySample]:
-    """Odometry samples, with velocities as the change to the next sample."""
+    """Odometry samples up to the last but one, with velocities as the change to the next."""
     import numpy as np
 
     from adcbf_cli.core.frames import wrap_angle
@@ -114,9 +114,8 @@ def _odometry(simulator: Simulator) -> Iterator[_OdometrySample]:
     seconds = np.diff(stamps) / 1e9
     speed = np.linalg.norm(np.diff(pose[:, :3, 3], axis=0), axis=1) / seconds
     turn = wrap_angle(np.diff(np.arctan2(pose[:, 1, 0], pose[:, 0, 0]))) / seconds
-    for index, stamp in enumerate(stamps):
-        step = min(index, len(seconds) - 1)
-        yield _OdometrySample(int(stamp), pose[index], float(speed[step]), float(turn[step]))
+    for index, stamp in enumerate(stamps[:-1]):
+        yield _OdometrySample(int(stamp), pose[index], float(speed[index]), float(turn[index]))
 
 
 def _write_odometry(log: LogWriter, sample: _OdometrySample) -> None:

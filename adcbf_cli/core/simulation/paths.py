@@ -13,8 +13,8 @@ import numpy as np
 from adcbf_cli.core.simulation.scenario import CirclePath, LinePath, StandPath, WaypointPath
 from adcbf_cli.core.types import FloatArray
 
-CURVE_STEPS = 64
-"""Polyline segments that stand for one leg of a smooth path: 1 % of a metre's error on a 10 m leg."""
+CURVE_STEPS = 256
+"""Polyline segments that stand for one leg of a smooth path: a few centimetres each."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -64,10 +64,10 @@ class Simulator:
         return self.world.start_ns + np.arange(self.scans, dtype=np.int64) * self.pattern.period_ns
 
     def _odometry_stamps(self) -> IntArray:
-        """Stamps from the first scan's to past the last one's end."""
+        """Stamps from the first scan's to the last one's end, and one beyond."""
         step = round(NS_PER_S / self.scenario.odometry.rate_hz)
         length = self.scans * self.pattern.period_ns
-        return self.world.start_ns + np.arange(-(-length // step) + 1, dtype=np.int64) * step
+        return self.world.start_ns + np.arange(-(-length // step) + 2, dtype=np.int64) * step
 
     def world_from_base(self, time_ns: IntArray) -> FloatArray:
         """(n, 4, 4) the ego's true pose at (n,) times."""
