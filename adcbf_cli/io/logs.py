@@ -55,6 +55,23 @@ def open_log(path: Path, notes: Notes) -> Log:
     raise AdcbfError(f"{path} holds no recorded topics; {_NOT_A_LOG}")
 
 
+def is_log(path: Path) -> bool:
+    """Whether the path is something that `open_scans` opens: by magic bytes, not by content."""
+    if path.is_dir():
+        return is_bag_folder(path) or holds_scans(path)
+    try:
+        return path.is_file() and bool(_kind(path))
+    except AdcbfError:
+        return False
+
+
+def holds_scans(path: Path) -> bool:
+    """Whether the path is a PCD file or a folder of them (and no rosbag2 folder)."""
+    if path.is_dir():
+        return not is_bag_folder(path) and any(entry.suffix.lower() == ".pcd" for entry in path.iterdir())
+    return path.is_file() and _kind(path) == "pcd"
+
+
 def _kind(path: Path) -> str:
     """'mcap', 'bag', 'sqlite' or 'pcd' by a file's first bytes. Raises AdcbfError for anything else."""
     try:
@@ -113,7 +130,7 @@ ScanSource = LogScans | PcdScans
 
 def open_scans(path: Path, config: ReadConfig, notes: Notes) -> ScanSource:
     """Open a log for reading frames: a recorded log, a folder of PCD scans, or one PCD scan."""
-    if (path.is_dir() and not is_bag_folder(path)) or (path.is_file() and _kind(path) == "pcd"):
+    if holds_scans(path):
         return PcdScans(path, config, notes)
     log = open_log(path, notes)
     try:

@@ -67,7 +67,7 @@ class PcdScans:
         self._files = pcd_files(path)
         self._notes = notes
         self._topic = path.name
-        self._stamps, named = scan_times(self._files)
+        self.stamps_ns, named = scan_times(self._files)
         source, self._poses = self._find_poses(path, config.pose, named)
         if not named and not (self._poses and len(self._poses) == len(self._files)):
             notes.warn(f"the scans' file names hold no times: 10 Hz is assumed for {len(self._files)} scans")
@@ -103,10 +103,10 @@ class PcdScans:
         if not file.is_file():
             raise UsageError(f"--pose {asked}: there is no such file; for PCD scans it is a TUM or KITTI pose file")
         if _columns(file) == 12:
-            return "poses file", read_kitti_poses(file, self._stamps)
+            return "poses file", read_kitti_poses(file, self.stamps_ns)
         poses = read_tum(file)
         if not named and len(poses) == len(self._files):
-            self._stamps = poses.stamp_ns
+            self.stamps_ns = poses.stamp_ns
         return "poses file", poses
 
     def events(self) -> Iterator[Scan | StampedTransform | tuple[StampedTransform, ...]]:
@@ -116,7 +116,7 @@ class PcdScans:
                 yield StampedTransform(int(stamp), WORLD, SENSOR, position, rotation)
         times = PointTimes(self._topic, self._notes)
         unreadable: list[str] = []
-        for file, stamp in zip(self._files, self._stamps.tolist(), strict=True):
+        for file, stamp in zip(self._files, self.stamps_ns.tolist(), strict=True):
             try:
                 yield pcd_scan(file, stamp, self._topic, times)
             except AdcbfError as error:

@@ -50,7 +50,7 @@ class Plan:
 def plan_reading(log: Log, config: ReadConfig, notes: Notes) -> Plan:
     """Choose topics and frames. Raises UsageError (ambiguous, unknown) and AdcbfError (no LiDAR)."""
     all_types = {connection.topic: connection.msgtype for connection in log.connections}
-    lidars = _lidar_candidates(log, notes)
+    lidars = lidar_candidates(log)
     lidar = choose_lidar(lidars, all_types, config.lidar)
     extrinsics = [parse_extrinsic(text) for text in config.extrinsics]
     frames = {item.topic: item.frame_id for item in lidars}
@@ -58,7 +58,7 @@ def plan_reading(log: Log, config: ReadConfig, notes: Notes) -> Plan:
     sensor = sensors[lidar.topics[0]]
     statics = static_transforms(log, extrinsics)
     tree = tf_tree(log, statics)
-    poses = _pose_candidates(log)
+    poses = pose_candidates(log)
     world_by_tf = _tf_world(tree, sensor, config.world_frame)
     pose = choose_pose(poses, config.pose, all_types, world_by_tf is not None)
     source = pose.topics[0]
@@ -75,7 +75,8 @@ def plan_reading(log: Log, config: ReadConfig, notes: Notes) -> Plan:
     return Plan(selection, placement, sensors, tf_topics)
 
 
-def _lidar_candidates(log: Log, notes: Notes) -> tuple[Candidate, ...]:
+def lidar_candidates(log: Log) -> tuple[Candidate, ...]:
+    """The log's topics of LiDAR types that have messages, with the frame of the first that can be decoded."""
     found = []
     for connection in log.connections:
         if connection.msgtype not in LIDAR_TYPES:
@@ -96,7 +97,8 @@ def _lidar_candidates(log: Log, notes: Notes) -> tuple[Candidate, ...]:
     return tuple(found)
 
 
-def _pose_candidates(log: Log) -> tuple[Candidate, ...]:
+def pose_candidates(log: Log) -> tuple[Candidate, ...]:
+    """The log's topics of pose types with at least two messages."""
     found = []
     for connection in log.connections:
         if connection.msgtype not in POSE_TYPES:
