@@ -17,7 +17,7 @@ from adcbf_cli.core.errors import EXIT_FAILED, AdcbfError
 app = typer.Typer(
     name="adcbf",
     no_args_is_help=True,
-    rich_markup_mode="markdown",
+    rich_markup_mode=None,  # rich would double the time that --help takes
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     help="""Recorded robot logs in, obstacles out: what the LiDAR saw, where it was going, how sure that is.

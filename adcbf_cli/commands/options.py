@@ -17,12 +17,10 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of tables.")]
-ConfigFile = Annotated[
-    Path | None, typer.Option("--config", "-c", help="YAML file with settings.", rich_help_panel="Settings")
-]
+ConfigFile = Annotated[Path | None, typer.Option("--config", "-c", help="YAML file with settings.")]
 Settings = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="STAGE.KEY=VALUE", help="One setting; repeatable.", rich_help_panel="Settings"),
+    typer.Option("--set", metavar="STAGE.KEY=VALUE", help="One setting; repeatable."),
 ]
 
 
@@ -30,7 +28,9 @@ Settings = Annotated[
 class Shared:
     """What every command that works on a log or a run folder takes."""
 
-    source: Annotated[Path, typer.Argument(help="A log, or the run folder of an earlier command.", show_default=False)]
+    source: Annotated[
+        Path, typer.Argument(metavar="LOG", help="A log, or the run folder of an earlier command.", show_default=False)
+    ]
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Run folder to write; default: <log's stem>.adcbf here.")
     ] = None
@@ -38,11 +38,11 @@ class Shared:
     settings: Settings = None
     lidar: Annotated[
         list[str] | None,
-        typer.Option("--lidar", metavar="TOPIC", help="LiDAR topic; twice: fuse.", rich_help_panel="Input"),
+        typer.Option("--lidar", metavar="TOPIC", help="LiDAR topic; twice: fuse."),
     ] = None
     pose: Annotated[
         str | None,
-        typer.Option("--pose", metavar="TOPIC|tf|none", help="Where the sensor was.", rich_help_panel="Input"),
+        typer.Option("--pose", metavar="TOPIC|tf|none", help="Where the sensor was."),
     ] = None
     extrinsic: Annotated[
         list[str] | None,
@@ -50,7 +50,6 @@ class Shared:
             "--extrinsic",
             metavar="PARENT>CHILD:X,Y,Z,R,P,Y",
             help="A transform that the log lacks (m, rad); repeatable.",
-            rich_help_panel="Input",
         ),
     ] = None
     range_m: Annotated[

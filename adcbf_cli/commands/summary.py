@@ -39,12 +39,12 @@ def summarise(outcome: Outcome, stage: str) -> dict[str, Any]:
         "selection": outcome.manifest.selection,
         "computed": list(outcome.computed),
         "reused": [s for s in STAGES[: STAGES.index(stage) + 1] if s not in outcome.computed],
-        "facts": {"cluster": _cluster_facts(folder)},
+        "facts": [
+            {"name": name, "value": value, "unit": unit}
+            for of_stage in STAGES[: STAGES.index(stage) + 1]
+            for name, value, unit in _FACTS[of_stage](folder)
+        ],
     }
-    if stage in ("track", "predict"):
-        facts["facts"]["track"] = _track_facts(folder)
-    if stage == "predict":
-        facts["facts"]["predict"] = _prediction_facts(folder)
     facts["time_ms_per_frame"] = _times(folder)
     facts["warnings"] = outcome.notes.warnings
     facts["losses"] = [{"what": loss.what, "count": loss.count} for loss in outcome.notes.losses]
@@ -55,9 +55,9 @@ def summarise(outcome: Outcome, stage: str) -> dict[str, Any]:
 def print_facts(outcome: Outcome, facts: dict[str, Any]) -> None:
     for reason in facts["selection"].get("reasons", ()):
         say(str(reason))
-    rows = []
-    for values in facts["facts"].values():
-        rows += [(name, "-" if value is None else f"{value:,}", unit) for name, value, unit in values]
+    rows = [
+        (fact["name"], "-" if fact["value"] is None else f"{fact['value']:,}", fact["unit"]) for fact in facts["facts"]
+    ]
     print_table(str(outcome.folder.path), ("", "value", "unit"), rows)
     times = facts["time_ms_per_frame"]
     spent = ", ".join(f"{stage} {ms:.1f}" for stage, ms in times.items())
@@ -124,6 +124,9 @@ def _prediction_facts(folder: RunFolder) -> list[tuple[str, Any, str]]:
         ("uncertainty radius at the last step, mean", _mean(last, "sigma_radius_m", 3), "m"),
         ("conformal radius at the last step, mean", _mean(last, "conformal_radius_m", 3), "m"),
     ]
+
+
+_FACTS = {"cluster": _cluster_facts, "track": _track_facts, "predict": _prediction_facts}
 
 
 def _times(folder: RunFolder) -> dict[str, float]:
