@@ -19,7 +19,9 @@ def cluster(
         bool | None, typer.Option("--labels/--no-labels", help="Also write each point's cluster (table `points`).")
     ] = None,
 ) -> None:
-    """Find the obstacles in each scan: centre, radius, height, extent.
+    """Find the obstacles in each scan.
+
+    Each with its centre, radius, height, extent, point count and membership probability.
 
     Writes `frames.parquet` and `clusters.parquet` to the run folder.
 

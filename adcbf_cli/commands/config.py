@@ -6,7 +6,7 @@ import typer
 
 from adcbf_cli.commands.options import ConfigFile, Settings
 
-app = typer.Typer(no_args_is_help=True, help="Show the settings: their values (`dump`) or their meaning (`schema`).")
+app = typer.Typer(no_args_is_help=True, help="Show the settings, or their schema.")
 
 
 @app.command()

@@ -32,7 +32,9 @@ FailOn = Annotated[
 
 @shared_options
 def evaluate(shared: Shared, truth: TruthOption = None, fail_on: FailOn = None) -> None:
-    """Score a run: detection, tracking, prediction, each with its unit and number of samples.
+    """Score obstacles, tracks and predictions.
+
+    Each number comes with its unit and its number of samples.
 
     Without ground truth, predictions are held against where the same track was later seen. Runs the
     stages first, where they are not there yet; writes `report.json` and `report.md`.

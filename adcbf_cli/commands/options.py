@@ -52,6 +52,12 @@ class Shared:
             help="A transform that the log lacks (m, rad); repeatable.",
         ),
     ] = None
+    world_frame: Annotated[
+        str | None, typer.Option("--world-frame", metavar="FRAME", help="Fixed frame, where poses come from tf.")
+    ] = None
+    deskew: Annotated[
+        bool | None, typer.Option("--deskew/--no-deskew", help="Correct motion within a scan; default: on.")
+    ] = None
     range_m: Annotated[
         float | None,
         typer.Option("--range", metavar="M", help="Keep points within +-M of the sensor; default 4 (8 x 8 m)."),
@@ -65,6 +71,8 @@ class Shared:
             "read.lidar": tuple(self.lidar) if self.lidar else None,
             "read.pose": self.pose,
             "read.extrinsics": tuple(self.extrinsic) if self.extrinsic else None,
+            "read.world_frame": self.world_frame,
+            "read.deskew": self.deskew,
             "perception.range_m": self.range_m,
         }
 

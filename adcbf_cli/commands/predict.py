@@ -31,7 +31,9 @@ def predict(
     calibration_file: CalibrationFile = None,
     save_calibration: SaveCalibration = None,
 ) -> None:
-    """Predict every confirmed track: N steps of position, covariance and calibrated radius.
+    """Predict where each track will be.
+
+    N steps of position, covariance and calibrated radius for every confirmed track and frame.
 
     Writes `predictions.parquet`; clusters and tracks first, where they are not there yet.
 

@@ -8,7 +8,9 @@ from adcbf_cli.commands.options import Shared, shared_options
 
 @shared_options
 def run(shared: Shared, truth: TruthOption = None, fail_on: FailOn = None) -> None:
-    """Cluster, track, predict and evaluate, in one pass over the log.
+    """Cluster, track, predict and evaluate.
+
+    One pass over the log; every table, and the score.
 
     Examples:
 

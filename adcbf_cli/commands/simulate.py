@@ -30,7 +30,9 @@ def simulate(
     ] = None,
     json_output: Annotated[bool, typer.Option("--json", help="Print one JSON document instead of a table.")] = False,
 ) -> None:
-    """Write a log of a simulated world: LiDAR by ray casting, odometry, tf, and ground truth.
+    """Write a simulated log with ground truth.
+
+    LiDAR by ray casting, odometry and tf, in a world that a scenario file describes.
 
     The same scenario and seed give the same bytes.
 

@@ -14,7 +14,9 @@ Model = Annotated[str | None, typer.Option("--model", metavar="NAME", help="Moti
 
 @shared_options
 def track(shared: Shared, filter_name: Filter = None, model: Model = None) -> None:
-    """Follow the obstacles from scan to scan: position, velocity, covariance, moving or static.
+    """Follow obstacles from scan to scan.
+
+    Each with its position, velocity, covariance, and whether it stands still.
 
     Writes `tracks.parquet`; clusters first, where they are not there yet.
 
