@@ -16,13 +16,13 @@ import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 import numpy as np
 
 from adcbf_cli.core.errors import AdcbfError, UsageError
 from adcbf_cli.core.types import FloatArray, IntArray, Notes, Truth
+from adcbf_cli.io.poses import read_pose_topic, read_tum, seconds_to_ns
 
 TOPIC_PREFIX = "topic:"
 _MAX_BYTES = 1 << 30
@@ -51,7 +51,7 @@ def load_truth(spec: str, context: TruthContext, notes: Notes) -> Truth:
         return _from_csv(path, [name.strip() for name in first.split(",")], context, notes)
     words = first.split()
     if len(words) == 8 and all(_is_number(word) for word in words):
-        return _from_tum(path, context, notes)
+        return _from_tum(path)
     if len(words) in (17, 18) and not _is_number(words[2]):
         from adcbf_cli.io.kitti_labels import read_kitti_labels
 
@@ -86,11 +86,6 @@ def _is_number(word: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def nanoseconds(text: str) -> int:
-    """Decimal seconds as int64 nanoseconds, without the rounding that a float would bring."""
-    return int((Decimal(text) * 1_000_000_000).to_integral_value())
 
 
 # CSV ---------------------------------------------------------------------------------------------
@@ -128,14 +123,14 @@ def _from_csv(path: Path, header: Sequence[str], context: TruthContext, notes: N
         next(table)  # the header itself: its names are stripped above
         for number, row in enumerate(table, start=2):
             try:
-                stamps.append(int(row[time]) if time == "timestamp_ns" else nanoseconds(row[time]))
+                stamps.append(int(row[time]) if time == "timestamp_ns" else seconds_to_ns(row[time]))
                 ids.append(int(row["track_id"]))
                 numbers.append([_optional(row.get(name)) for name in names.values()])
                 if not all(math.isfinite(value) for value in numbers[-1][:2]):
                     raise ValueError("no position")
                 if boxes:
                     azimuths.append(math.atan2(float(row["y_velo"]), float(row["x_velo"])))
-            except (ValueError, TypeError, KeyError, InvalidOperation, OverflowError):
+            except (ValueError, TypeError, KeyError, OverflowError):
                 raise AdcbfError(f"{path}: row {number}: not a labelled position: {_shown(row)}") from None
             categories.append(row.get("class") or "object")
     columns = np.array(numbers).reshape(-1, len(names))
@@ -223,16 +218,12 @@ def _on_frames(truth: Truth, fov_rad: tuple[float, float], context: TruthContext
 # One object's poses ------------------------------------------------------------------------------
 
 
-def _from_tum(path: Path, context: TruthContext, notes: Notes) -> Truth:
-    from adcbf_cli.io.poses import read_tum
-
+def _from_tum(path: Path) -> Truth:
     poses = read_tum(path)
     return _one_object(path.name, poses.stamp_ns, poses.position_m, poses.quaternion_xyzw)
 
 
 def _from_topic(topic: str, context: TruthContext, notes: Notes) -> Truth:
-    from adcbf_cli.io.poses import read_pose_topic
-
     if not context.log.exists():
         raise AdcbfError(f"{context.log}: this log is gone, and the truth is a topic in it")
     poses = read_pose_topic(context.log, topic, notes)

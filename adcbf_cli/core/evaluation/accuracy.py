@@ -26,19 +26,25 @@ from adcbf_cli.core.evaluation.formulas import (
 )
 from adcbf_cli.core.evaluation.report import Metric
 from adcbf_cli.core.evaluation.scene import FrameObjects, Scene
-from adcbf_cli.core.types import FloatArray, IntArray, Tracks
+from adcbf_cli.core.types import BoolArray, FloatArray, IntArray, Tracks
 
 SAMPLE = "matched object and frame"
+SECTORS = 12
+MIN_SECTOR_SAMPLES = 10
+"""A sector with fewer samples has no mean of its own worth removing."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bias:
     """Mean errors of one object's tracks, metres: along the line of sight (positive is farther from
     the sensor) and across it (positive is to the left); in the object's axes, NaN where its yaw is
-    unknown."""
+    unknown; and in its axes by the side it is seen from, one row for each of SECTORS equal sectors
+    of the sensor's azimuth around the object, counted from its front, with their sample counts."""
 
     sight_m: FloatArray
     body_m: FloatArray
+    aspect_m: FloatArray
+    aspect_n: IntArray
 
 
 class Accuracy:
@@ -75,20 +81,30 @@ class Accuracy:
         self.object_id, self.track_id, self._blocks, self.error_m, self._cov, self._bearing, self._yaw = joined
         self._sight = rotate(self.error_m, -self._bearing)
         self._body = rotate(self.error_m, -self._yaw)
+        aspect = (self._bearing + np.pi - self._yaw) % (2 * np.pi)  # where the sensor is, from the object's front
+        self._oriented = np.isfinite(self._yaw)
+        self._sector = np.where(self._oriented, aspect // (2 * np.pi / SECTORS), 0).astype(np.int64) % SECTORS
         for i in np.unique(self.object_id).tolist():
-            mine = self.object_id == i
-            oriented = mine & np.isfinite(self._yaw)
-            body = self._body[oriented].mean(axis=0) if oriented.any() else np.full(2, np.nan)
-            self.biases[i] = Bias(self._sight[mine].mean(axis=0), body)
+            self.biases[i] = self._bias(self.object_id == i)
+
+    def _bias(self, mine: BoolArray) -> Bias:
+        oriented = mine & self._oriented
+        body = self._body[oriented].mean(axis=0) if oriented.any() else np.full(2, np.nan)
+        count = np.bincount(self._sector[oriented], minlength=SECTORS)
+        sums = [np.bincount(self._sector[oriented], self._body[oriented, axis], SECTORS) for axis in (0, 1)]
+        enough = (count >= MIN_SECTOR_SAMPLES)[:, None]
+        by_aspect = np.where(enough, np.stack(sums, axis=1) / np.maximum(count, 1)[:, None], np.nan)
+        return Bias(self._sight[mine].mean(axis=0), body, by_aspect, count)
 
     def corrected(self) -> dict[str, FloatArray]:
         """Errors (k, 2) in world axes after removal of each object's mean: in the line of sight's
-        axes ("sight"), and in the object's ("body")."""
-        sight = self._table("sight_m")
-        body = self._table("body_m")
+        axes ("sight"), in the object's ("body"), in the object's by sector of aspect ("aspect")."""
+        by_sector = np.array([self.biases[i].aspect_m for i in self.object_id.tolist()]).reshape(-1, SECTORS, 2)
+        aspect = np.nan_to_num(by_sector[np.arange(len(by_sector)), self._sector])
         return {
-            "sight": self.error_m - rotate(sight, self._bearing),
-            "body": self.error_m - rotate(body, self._yaw),
+            "sight": self.error_m - rotate(self._table("sight_m"), self._bearing),
+            "body": self.error_m - rotate(self._table("body_m"), self._yaw),
+            "aspect": self.error_m - rotate(aspect, self._yaw),
         }
 
     def _table(self, name: str) -> FloatArray:
@@ -117,6 +133,9 @@ class Accuracy:
             "(2 numbers an object, from these same samples)",
             "body_corrected_": "; after removal of each object's mean error in its own axes (2 numbers an object, "
             "from these same samples); objects of known yaw",
+            "aspect_corrected_": "; after removal, for each object and each 30 degree sector of the side it is seen "
+            f"from, of the mean error in its own axes, where a sector has {MIN_SECTOR_SAMPLES} samples (2 numbers a "
+            "sector, from these same samples); objects of known yaw",
         }
         axes = {"x": ("rmse_{}x_m", ", along world x"), "y": ("rmse_{}y_m", ", along world y"), "xy": ("rmse_{}m", "")}
         result = {}
@@ -196,5 +215,10 @@ class Accuracy:
                 "bias_across_m": float(bias.sight_m[1]),
                 "bias_body_x_m": float(bias.body_m[0]) if np.isfinite(bias.body_m[0]) else None,
                 "bias_body_y_m": float(bias.body_m[1]) if np.isfinite(bias.body_m[1]) else None,
+                "bias_by_aspect": [
+                    {"from_deg": k * 360 // SECTORS, "n": int(n), "body_x_m": float(at[0]), "body_y_m": float(at[1])}
+                    for k, (n, at) in enumerate(zip(bias.aspect_n, bias.aspect_m, strict=True))
+                    if n >= MIN_SECTOR_SAMPLES
+                ],
             }
         return result

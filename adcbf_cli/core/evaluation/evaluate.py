@@ -84,8 +84,11 @@ _OF_THE_FRAME = {"frame_index", "stamp_ns", "world_from_sensor", "model"}
 
 def _select(tracks: Tracks, keep: BoolArray) -> Tracks:
     """The same record with some of its tracks only."""
-    columns = {f.name: getattr(tracks, f.name) for f in fields(tracks) if f.name not in _OF_THE_FRAME}
-    return replace(tracks, **{name: None if column is None else column[keep] for name, column in columns.items()})
+    columns: dict[str, Any] = {}
+    for name in (column.name for column in fields(tracks) if column.name not in _OF_THE_FRAME):
+        values = getattr(tracks, name)
+        columns[name] = None if values is None else values[keep]
+    return replace(tracks, **columns)
 
 
 class _Evaluation:

@@ -106,6 +106,24 @@ def test_bias_fixed_to_the_body_is_found_in_its_axes() -> None:
     assert value(report, "tracking.rmse_sight_corrected_m") > 0.1
 
 
+def test_bias_that_changes_with_the_side_seen_is_found_by_aspect() -> None:
+    """A vehicle of which only the end that faces the sensor is seen, while the sensor passes it."""
+
+    def end_seen(t: np.ndarray) -> np.ndarray:
+        towards = np.where(t >= 18.0, 1.0, -1.0)  # the sensor starts behind the thing and ends up ahead of it
+        return parked(t) + np.stack([0.5 * towards, 0 * t], axis=-1)
+
+    parked = line(9.0, 2.0)
+    poses = [pose_matrix(np.array([0.05 * k, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0])) for k in range(360)]
+    report = Run([Labelled(parked)], [Seen(end_seen)], count=360, steps=1, sensor=poses).score()
+    assert value(report, "tracking.rmse_m") == pytest.approx(0.5)
+    assert value(report, "tracking.rmse_body_corrected_m") > 0.49
+    assert value(report, "tracking.rmse_aspect_corrected_m") < 0.01
+    sectors = {row["from_deg"]: row["body_x_m"] for row in report.objects[0]["bias_by_aspect"]}
+    assert sectors[180] == pytest.approx(-0.5)
+    assert sectors[330] == pytest.approx(0.5)
+
+
 def test_a_consistent_filter_is_called_consistent() -> None:
     rng = np.random.default_rng(5)
     noise = {}
