@@ -67,7 +67,7 @@ class PerceptionConfig(StageConfig):
         3, description="A point's density is the distance to this neighbour, itself counted."
     )
     min_gap_m: NonNegative = Field(
-        0.4, description="HDBSCAN: nearer clusters stay one, as two legs or a car's parts do."
+        0.3, description="HDBSCAN: nearer clusters stay one, as two legs or a car's parts do."
     )
     max_gap_m: Positive = Field(1.0, description="HDBSCAN: an obstacle never spans a wider gap.")
     dbscan_eps_m: Positive = 0.5
@@ -103,10 +103,10 @@ class TrackingConfig(StageConfig):
         0.1, description="Measurement noise of a centre, as a fraction of the obstacle's radius (half height)."
     )
     adaptive_noise: bool = Field(
-        True, description="Scale each track's measurement noise by what its innovations show (1/5 to 5 times)."
+        True, description="Scale each track's measurement noise by what its innovations show (1/10 to 5 times)."
     )
     sigma_accel_mps2: Positive = Field(
-        1.0, description="Process noise of a manoeuvre (cv, ct): rms change of velocity over one second."
+        1.5, description="Process noise of a manoeuvre (cv, ct): rms change of velocity over one second."
     )
     sigma_jerk_mps3: Positive = Field(1.0, description="The same for ca: rms change of acceleration over one second.")
     sigma_turn_radps2: Positive = Field(0.3, description="The same for ct's turn rate, over one second.")
@@ -114,7 +114,7 @@ class TrackingConfig(StageConfig):
         0.2, description="Vertical process noise, as a fraction of the horizontal one."
     )
     cruise_ratio: Annotated[float, Field(gt=0, le=1)] = Field(
-        0.05,
+        0.03,
         description="Process noise of an obstacle that keeps its course, as a fraction of a manoeuvre's; "
         "1: one noise level for all.",
     )

@@ -9,7 +9,7 @@ import numpy as np
 from adcbf_cli.core.tracking.stillness import Sightings
 from adcbf_cli.core.types import BoolArray, FloatArray, IntArray
 
-NOISE_SCALE_BOUNDS = (0.2**2, 5.0**2)
+NOISE_SCALE_BOUNDS = (0.1**2, 5.0**2)
 """How far a track's measurement noise may depart from the nominal variance."""
 NOISE_PRIOR_HITS = 10.0
 """The nominal noise counts as much as this many innovations."""

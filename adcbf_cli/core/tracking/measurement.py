@@ -131,7 +131,8 @@ def noise_along_axes(points_m: FloatArray, variance_m2: FloatArray, spread_m: Fl
     across = np.stack([-sa, ca, np.zeros_like(ca)], axis=-1)
     upwards = np.stack([-ca * se, -sa * se, ce], axis=-1)
     axes = np.stack([along, across, upwards], axis=-1)
-    return (axes * variance_m2[:, None, :]) @ np.swapaxes(axes, 1, 2) + spread_m[:, :, None] * spread_m[:, None, :]
+    covariance: FloatArray = (axes * variance_m2[:, None, :]) @ np.swapaxes(axes, 1, 2)
+    return covariance + spread_m[:, :, None] * spread_m[:, None, :]
 
 
 def nominal_variance(

@@ -80,8 +80,7 @@ def _transition_matrix(derivatives: int, dt: float) -> FloatArray:
     one_axis[np.arange(derivatives - 1), np.arange(1, derivatives)] = dt
     if derivatives == 3:
         one_axis[0, 2] = 0.5 * dt * dt
-    matrix: FloatArray = np.asarray(np.kron(one_axis, np.eye(3)), dtype=np.float64)
-    return matrix
+    return np.asarray(np.kron(one_axis, np.eye(3)), dtype=np.float64)
 
 
 def _white_noise(derivatives: int, dt: float, density: FloatArray) -> FloatArray:
@@ -89,8 +88,7 @@ def _white_noise(derivatives: int, dt: float, density: FloatArray) -> FloatArray
     from filterpy.common import Q_continuous_white_noise
 
     one_axis: FloatArray = Q_continuous_white_noise(derivatives, dt)
-    noise: FloatArray = np.kron(one_axis, np.diag(density))
-    return noise
+    return np.asarray(np.kron(one_axis, np.diag(density)), dtype=np.float64)
 
 
 def _turn_noise(dt: float, density: FloatArray, turn_density: float) -> FloatArray:
