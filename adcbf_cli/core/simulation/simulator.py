@@ -114,16 +114,22 @@ class Simulator:
         )
 
     def _place(self, index: int, scan: Scan, column: IntArray) -> Frame:
-        """The scan as a Frame: every point carried from its own firing's pose to the stamp's."""
-        at_firing = compose(self.odom_from_base(scan.stamp_ns + self.pattern.offset_ns), self.base_from_sensor)
+        """The scan as a Frame, every point carried from its own firing's pose to the stamp's."""
         at_stamp = self.odom_from_base(np.array([scan.stamp_ns]))[0] @ self.base_from_sensor
-        rotation, shift = at_firing[column, :3, :3], at_firing[column, :3, 3]
-        in_world = np.einsum("nij,nj->ni", rotation, scan.points_m) + shift
+        points = scan.points_m if self.scenario.lidar.instantaneous else self._corrected(scan, column, at_stamp)
         return Frame(
             index=index,
             stamp_ns=scan.stamp_ns,
-            points_m=transform_points(invert(at_stamp), in_world),
+            points_m=points,
             world_from_sensor=at_stamp,
             planar=scan.planar,
             pose_known=True,
         )
+
+    def _corrected(self, scan: Scan, column: IntArray, at_stamp: FloatArray) -> FloatArray:
+        """The scan's points as seen from the sensor's pose at the stamp."""
+        at_firing = compose(self.odom_from_base(scan.stamp_ns + self.pattern.offset_ns), self.base_from_sensor)
+        at_stamp = self.odom_from_base(np.array([scan.stamp_ns]))[0] @ self.base_from_sensor
+        rotation, shift = at_firing[column, :3, :3], at_firing[column, :3, 3]
+        in_world = np.einsum("nij,nj->ni", rotation, scan.points_m) + shift
+        return transform_points(invert(at_stamp), in_world)

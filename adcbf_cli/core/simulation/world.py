@@ -71,7 +71,8 @@ class World:
         """Fire one scan: columns at times (c,) from poses (c, 4, 4), along unit directions (c, k, 3) in
         the sensor's frame. What is farther than max_range_m counts as nothing."""
         shape = directions.shape[:2]
-        aim = np.einsum("cij,ckj->cki", world_from_sensor[:, :3, :3], directions).reshape(-1, 3)
+        turned = directions @ np.swapaxes(world_from_sensor[:, :3, :3], 1, 2)
+        aim = turned.reshape(-1, 3)
         origin = np.repeat(world_from_sensor[:, :3, 3], shape[1], axis=0)
         column = np.repeat(np.arange(shape[0]), shape[1])
         range_m, triangle = self._static_body.cast(origin, aim)
@@ -79,14 +80,15 @@ class World:
         time_s = self.seconds(time_ns)
         for number, (mover, bodies) in enumerate(zip(self.movers, self._part_bodies, strict=True)):
             for world_from_part, body in zip(mover.world_from_part(time_s), bodies, strict=True):
-                near = body.may_be_hit(origin, aim, world_from_part, column, max_range_m)
-                if not near.any():
+                near = np.flatnonzero(
+                    body.may_be_hit(world_from_sensor[:, :3, 3], turned, world_from_part, max_range_m)
+                )
+                if len(near) == 0:
                     continue
                 part_range = body.cast_moving(origin[near], aim[near], world_from_part[column[near]])
                 closer = part_range < range_m[near]
-                rays = np.flatnonzero(near)[closer]
-                range_m[rays] = part_range[closer]
-                owner[rays] = number
+                range_m[near[closer]] = part_range[closer]
+                owner[near[closer]] = number
         far = range_m > max_range_m
         range_m[far], owner[far] = np.inf, NO_ID
         return Hits(range_m.reshape(shape), owner.reshape(shape))
@@ -136,18 +138,23 @@ class _Body:
         return self.cast(local_origin, local_aim)[0]
 
     def may_be_hit(
-        self, origin: FloatArray, aim: FloatArray, world_from_body: FloatArray, column: IntArray, max_range_m: float
+        self, origin: FloatArray, aim: FloatArray, world_from_body: FloatArray, max_range_m: float
     ) -> BoolArray:
-        """Which rays pass through the body's bounding sphere, at their column's pose (c, 4, 4)."""
-        middle = np.einsum("cij,j->ci", world_from_body[:, :3, :3], self._middle) + world_from_body[:, :3, 3]
-        towards = middle[column] - origin
-        along = np.einsum("ni,ni->n", towards, aim)
-        squared = np.einsum("ni,ni->n", towards, towards)
+        """Which rays, from (c, 3) along (c, k, 3) in the world, pass through the body's bounding sphere
+        at its (c, 4, 4) poses: (c k,)."""
+        middle = world_from_body[:, :3, :3] @ self._middle + world_from_body[:, :3, 3]
+        towards = middle - origin
+        along = (aim @ towards[:, :, None])[:, :, 0]
+        squared = _dot(towards, towards)[:, None]
         reach = self._radius_m + 1e-3
         inside = squared <= reach**2
         passes = (along > 0) & (squared - along**2 <= reach**2) & (along - reach <= max_range_m)
-        either: BoolArray = inside | passes
-        return either
+        return np.asarray(inside | passes).reshape(-1)
+
+
+def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+    """(n,) scalar products of (n, 3) vectors."""
+    return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
 
 
 def _distance_to_plane(
@@ -155,8 +162,8 @@ def _distance_to_plane(
 ) -> FloatArray:
     """(n,) distances along rays to the planes of the triangles that they are known to hit. A ray that
     grazes its triangle, so that the plane gives no sound distance, keeps the one that was found."""
-    approach = np.einsum("ni,ni->n", normal, aim)
-    gap = np.einsum("ni,ni->n", normal, corner - origin)
+    approach = _dot(normal, aim)
+    gap = _dot(normal, corner - origin)
     exact = gap / np.where(approach == 0, np.inf, approach)
     return np.where(np.abs(exact - found_m) < GRAZING_M, exact, found_m)
 
