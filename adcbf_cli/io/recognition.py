@@ -48,6 +48,9 @@ def recognise(path: Path) -> Recognised:
     if path.is_dir():
         if (path / "run.json").is_file():
             return Recognised("a run folder of adcbf", f"give it to a later stage: adcbf evaluate {path}")
+        bags = sorted(entry.name for entry in path.iterdir() if entry.suffix == ".bag")
+        if bags:
+            raise AdcbfError(f"{path} holds {len(bags)} bags; name one of them: {', '.join(bags[:10])}")
         raise AdcbfError(f"{path} is a folder without logs; {READS}: give it the folder that holds the files")
     if not path.exists():
         raise AdcbfError(f"{path} does not exist")
@@ -59,6 +62,7 @@ def recognise(path: Path) -> Recognised:
     foreign = next((what for magic, what in _FOREIGN if head.startswith(magic)), None)
     foreign = foreign or _FOREIGN_SUFFIXES.get(path.suffix.lower())
     known = None if foreign else _text_kind(path)
+    foreign = foreign or (None if known else _foreign_table(path))
     if known is None:
         raise AdcbfError(f"{path} is {foreign or 'not something that adcbf knows'}; {READS}")
     return known
@@ -86,6 +90,19 @@ def _text_kind(path: Path) -> Recognised | None:
         )
     if len(words) == 12:
         return Recognised("a KITTI pose file", "put it as poses.txt beside the PCD scans, or --pose FILE")
+    return None
+
+
+def _foreign_table(path: Path) -> str | None:
+    """Tables of numbers that are known but not read."""
+    lines = first_lines(path, 1)
+    words = lines[0].split() if lines else []
+    if not _numbers(words):
+        return None
+    if len(words) == 30:
+        return "a KITTI OXTS table (GPS and IMU); convert it to a TUM trajectory to use its poses"
+    if len(words) == 8 and path.name == "obsmat.txt":
+        return "a table of pedestrians seen from above (ETH, UCY); it belongs to no LiDAR log"
     return None
 
 

@@ -10,11 +10,12 @@ import re
 from collections.abc import Collection, Iterator
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from adcbf_cli.core.errors import AdcbfError
+from adcbf_cli.core.errors import AdcbfError, UsageError
 from adcbf_cli.core.types import Notes
 from adcbf_cli.io.log_base import Log, Message, TopicInfo, merge_lazily
 from adcbf_cli.io.mcap_log import McapLog
@@ -34,6 +35,7 @@ class Rosbag2Log(Log):
         for name in missing:
             self.lose(f"{folder.name}: {name} is named in metadata.yaml but is not there")
         self._message_compression = str(metadata.get("compression_mode", "")).lower() == "message"
+        self._listed = bool(metadata)
         self._temporary: TemporaryDirectory[str] | None = None
         self._parts: list[tuple[int, Log]] = []
         try:
@@ -54,9 +56,25 @@ class Rosbag2Log(Log):
             self._parts.append((part.start_ns(), part))
         if not self._parts:
             raise AdcbfError(f"{self.path} holds no readable .db3 or .mcap file")
+        if not self._listed:
+            self._check_one_recording()
         self.connections = tuple(dict.fromkeys(at for _, part in self._parts for at in part.connections))
         splits = f", {len(self.files)} splits" if len(self.files) > 1 else ""
         self.container = f"rosbag2 folder: {self._parts[0][1].container}{splits}"
+
+    def _check_one_recording(self) -> None:
+        """Files without a metadata.yaml are splits of one recording only if one ends before the next begins."""
+        spans = []
+        for _, part in self._parts:
+            infos = part.topics()
+            starts = [info.first_ns for info in infos if info.first_ns is not None]
+            ends = [info.last_ns for info in infos if info.last_ns is not None]
+            if starts:
+                spans.append((min(starts), max(ends)))
+        spans.sort()
+        if any(late[0] < early[1] for early, late in pairwise(spans)):
+            names = ", ".join(file.name for file in self.files)
+            raise UsageError(f"{self.path} holds several recordings of the same time ({names}); name one of them")
 
     def _open_split(self, file: Path) -> Log:
         if file.suffix == ".zstd":
