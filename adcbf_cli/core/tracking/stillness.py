@@ -6,6 +6,9 @@ the slope's own standard error (from the fit's residuals, so that no sensor mode
 the drift of a seen surface's centre under a turning viewpoint. The last is the trap of a moving
 ego: when the line of sight to an obstacle turns by an angle, the visible side turns with it, and
 its centre may wander by up to the obstacle's radius times that angle.
+
+Odometry drifts too, and everything that stands still then moves alike. What most tracks do together
+is taken out first, where the ego moves and it is small beside the ego's own speed.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ import numpy as np
 
 from adcbf_cli.core.config import TrackingConfig
 from adcbf_cli.core.frames import wrap_angle
-from adcbf_cli.core.types import BoolArray, FloatArray
+from adcbf_cli.core.types import BoolArray, FloatArray, IntArray
 
 CAPACITY = 64
 """Sightings kept a track. A faster sensor than this over the window looks at a shorter past."""
@@ -29,6 +32,11 @@ SLOWEST_CLEAR_MOTION = 3.0
 RECENT_SHARE = 0.35
 """The newest share of the window, looked at alone: an obstacle that starts is noticed sooner there."""
 RECENT_MIN_SPEED_FACTOR = 3.0
+SHORTEST_SHARE = 1 / 3
+"""Of the window, that sightings must span before a track can be said to stand still."""
+MIN_TRACKS_FOR_DRIFT = 8
+MAX_DRIFT_SHARE = 0.15
+"""Odometry wrong by more than this share of the ego's speed is not put right here."""
 
 
 @dataclass(slots=True)
@@ -70,14 +78,16 @@ class Sightings:
 
 @dataclass(frozen=True, slots=True)
 class Slope:
-    """Straight-line fits of n tracks: speed and its standard error (m/s), the time that the
-    sightings span (s), their number, and the viewpoint's turn (rad) between first and last."""
+    """Straight-line fits of n tracks: velocity (n, 2) and the standard error of each component
+    (m/s), the time that the sightings span (s), their number, the viewpoint's turn (rad) between
+    first and last, and the sensor's own velocity (n, 2) over the same time."""
 
-    speed_mps: FloatArray
+    velocity_mps: FloatArray
     standard_error_mps: FloatArray
     span_s: FloatArray
     count: FloatArray
     turn_rad: FloatArray
+    sensor_velocity_mps: FloatArray
 
 
 def fit_slopes(sightings: Sightings, now_s: float, window_s: float) -> Slope:
@@ -98,12 +108,15 @@ def fit_slopes(sightings: Sightings, now_s: float, window_s: float) -> Slope:
     first = np.where(used, age, -np.inf).argmax(axis=1)
     last = np.where(used, age, np.inf).argmin(axis=1)
     rows = np.arange(len(count))
+    span = np.where(count > 0, time[rows, last] - time[rows, first], 0.0)
+    carried = sightings.sensor_m[rows, last] - sightings.sensor_m[rows, first]
     return Slope(
-        speed_mps=np.hypot(velocity[:, 0], velocity[:, 1]),
+        velocity_mps=velocity,
         standard_error_mps=np.sqrt(variance / moment),
-        span_s=np.where(count > 0, time[rows, last] - time[rows, first], 0.0),
+        span_s=span,
         count=count,
         turn_rad=_viewpoint_turn(sightings, rows, first, last),
+        sensor_velocity_mps=carried / np.maximum(span, 1e-9)[:, None],
     )
 
 
@@ -111,30 +124,45 @@ def still(
     was_still: BoolArray, sightings: Sightings, now_s: float, radius_m: FloatArray, config: TrackingConfig
 ) -> BoolArray:
     """(n,) which tracks stand still now, given which did a frame ago."""
+    least = config.static_speed_mps
     whole = fit_slopes(sightings, now_s, config.static_window_s)
     recent = fit_slopes(sightings, now_s, RECENT_SHARE * config.static_window_s)
-    excess = whole.speed_mps / _feigned_speed(whole, radius_m, config.static_speed_mps)
-    recent_excess = recent.speed_mps / _feigned_speed(
-        recent, radius_m, RECENT_MIN_SPEED_FACTOR * config.static_speed_mps
-    )
-    starts = ((excess > 1.0) & (whole.count >= MIN_SIGHTINGS)) | (
-        (recent_excess > 1.0) & (recent.count >= MIN_SIGHTINGS)
-    )
-    drift = radius_m * whole.turn_rad / np.maximum(whole.span_s, 1e-9)
-    slow = whole.speed_mps <= SLOWEST_CLEAR_MOTION * config.static_speed_mps + drift
-    known = (whole.count >= MIN_SIGHTINGS) & (whole.span_s >= 0.5 * config.static_window_s)
+    known = (whole.count >= MIN_SIGHTINGS) & (whole.span_s >= SHORTEST_SHARE * config.static_window_s)
+    drift = common_drift(whole, known)
+    speed = np.linalg.norm(whole.velocity_mps - drift, axis=1)
+    recent_speed = np.linalg.norm(recent.velocity_mps - drift, axis=1)
+    excess = speed / _feigned_speed(whole, radius_m, least)
+    recent_excess = recent_speed / _feigned_speed(recent, radius_m, RECENT_MIN_SPEED_FACTOR * least)
+    starts = (whole.count >= MIN_SIGHTINGS) & (excess > 1.0)
+    starts |= (recent.count >= MIN_SIGHTINGS) & (recent_excess > 1.0)
+    slow = speed <= SLOWEST_CLEAR_MOTION * least + _viewpoint_drift(whole, radius_m)
     stops = known & slow & (excess < STAY_MOVING_FRACTION) & ~starts
-    return np.where(was_still, ~starts, stops)
+    result: BoolArray = np.where(was_still, ~starts, stops)
+    return result
+
+
+def common_drift(slope: Slope, known: BoolArray) -> FloatArray:
+    """The velocity (2,) that most tracks share because the ego's odometry is wrong; zero where few
+    tracks are known or where it is too large to be that."""
+    if np.count_nonzero(known) < MIN_TRACKS_FOR_DRIFT:
+        return np.zeros(2)
+    drift: FloatArray = np.median(slope.velocity_mps[known], axis=0)
+    ego: FloatArray = np.median(slope.sensor_velocity_mps[known], axis=0)
+    plausible = np.linalg.norm(drift) <= MAX_DRIFT_SHARE * np.linalg.norm(ego)
+    return drift if plausible else np.zeros(2)
+
+
+def _viewpoint_drift(slope: Slope, radius_m: FloatArray) -> FloatArray:
+    drift: FloatArray = radius_m * slope.turn_rad / np.maximum(slope.span_s, 1e-9)
+    return drift
 
 
 def _feigned_speed(slope: Slope, radius_m: FloatArray, least_speed_mps: float) -> FloatArray:
     """The speed that a standing obstacle may show, at most."""
-    drift = radius_m * slope.turn_rad / np.maximum(slope.span_s, 1e-9)
-    feigned: FloatArray = least_speed_mps + STANDARD_ERRORS * slope.standard_error_mps + drift
-    return feigned
+    return least_speed_mps + STANDARD_ERRORS * slope.standard_error_mps + _viewpoint_drift(slope, radius_m)
 
 
-def _viewpoint_turn(sightings: Sightings, rows: np.ndarray, first: np.ndarray, last: np.ndarray) -> FloatArray:
+def _viewpoint_turn(sightings: Sightings, rows: IntArray, first: IntArray, last: IntArray) -> FloatArray:
     """How far the line of sight turned, plus the relative change of range, between two sightings."""
     start = sightings.position_m[rows, first] - sightings.sensor_m[rows, first]
     end = sightings.position_m[rows, last] - sightings.sensor_m[rows, last]
