@@ -26,7 +26,7 @@ _SECTIONS = {
 }
 _OBJECT_COLUMNS = (
     "object_id", "class", "frames_in_range", "frames_tracked", "tracks", "rmse_m", "rmse_sight_corrected_m",
-    "bias_along_m", "bias_across_m", "bias_body_x_m", "bias_body_y_m",
+    "bias_along_m", "bias_across_m", "bias_body_x_m", "bias_body_y_m", "predictions", "last_step_error_m",
 )  # fmt: skip
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -189,3 +190,13 @@ def test_metric_names_follow_the_horizons() -> None:
     names = possible_metrics(EvaluationConfig(horizons_s=(0.5,)))
     assert "prediction.fde_m.0.5s" in names
     assert "prediction.fde_m.3.0s" not in names
+
+
+def test_every_metric_is_described_in_the_docs() -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "metrics.md").read_text()
+    for name in possible_metrics(EvaluationConfig()):
+        stem = re.sub(r"\.\d\.\ds$", "", name)
+        stem = re.sub(r"^later_seen(\.moving)?\.", "prediction.", stem)
+        stem = re.sub(r"coverage_(50|90|95)$", "coverage_50", stem)
+        stem = re.sub(r"corrected_(x_|y_|)m$", "corrected_*", stem)
+        assert f"`{stem}`" in page or f"`{stem}." in page, name

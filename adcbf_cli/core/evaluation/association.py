@@ -14,7 +14,7 @@ from adcbf_cli.core.evaluation.clear import ClearMot, FrameMatch
 from adcbf_cli.core.evaluation.hota import Hota, similarity
 from adcbf_cli.core.evaluation.report import Metric
 from adcbf_cli.core.evaluation.scene import FrameObjects, Scene
-from adcbf_cli.core.types import BoolArray, Tracks
+from adcbf_cli.core.types import NO_ID, BoolArray, Tracks
 
 
 class AssociationScore:
@@ -25,6 +25,7 @@ class AssociationScore:
         self._config = config
         self._clear = {"": ClearMot(), "_all_tracks": ClearMot()}
         self._hota = {"": Hota(), "_all_tracks": Hota()}
+        self._false_coasting = 0
 
     def add(self, objects: FrameObjects, tracks: Tracks) -> FrameMatch:
         """One frame. Returns the matches among `objects` that are not background, in range, as
@@ -34,9 +35,9 @@ class AssociationScore:
         targets = objects.where(~objects.background)
         distance, admissible = targets.compare(place, self._config)
         excused = self._excused(objects, tracks)
-        match: FrameMatch | None = None
+        matches: dict[str, FrameMatch] = {}
         for variant, ignorable in (("_all_tracks", excused), ("", excused | tracks.is_static)):
-            match = self._clear[variant].add(
+            match = matches[variant] = self._clear[variant].add(
                 targets.object_id, tracks.track_id, distance, admissible, targets.in_range, ignorable
             )
             kept = np.union1d(match.columns, match.false)
@@ -46,7 +47,8 @@ class AssociationScore:
                 tracks.track_id[kept],
                 similarity(distance[np.ix_(scored, kept)], self._config.hota_zero_m),
             )
-        assert match is not None
+        match = matches[""]
+        self._false_coasting += int((tracks.cluster_id[match.false] == NO_ID).sum())
         return FrameMatch(foreground[match.rows], match.columns, foreground[match.missed], match.false, match.duplicate)
 
     def _excused(self, objects: FrameObjects, tracks: Tracks) -> BoolArray:
@@ -98,6 +100,11 @@ class AssociationScore:
             **false,
             "clear.motp_m": Metric(
                 counts.motp_m, "m", counts.matches, "matched object and frame", "mean centre distance of matched pairs"
+            ),
+            "clear.false_positives_coasting": row(
+                float(self._false_coasting) if known else None,
+                "1",
+                "those of the false positives that are carried on without a cluster" + unknown,
             ),
             "clear.misses": row(
                 float(counts.misses), "1", "labelled objects (not background) in range without a track"

@@ -29,6 +29,7 @@ AGAINST_TRUTH = Reference(
     {
         "sight_corrected_": "; each object's mean tracking error along and across the line of sight removed",
         "body_corrected_": "; each object's mean tracking error in its own axes removed; objects of known yaw",
+        "still_": "; had every track been predicted to stay where it is, for comparison",
     },
 )
 AGAINST_LATER = {
@@ -106,9 +107,10 @@ class _Evaluation:
             self._association = AssociationScore(scene, config)
             self._accuracy = Accuracy(scene)
             self._forecast = ForecastScore(AGAINST_TRUTH, config.horizons_s)
-            self._object_of: dict[int, dict[int, int]] = {}
+            self._matched: dict[int, dict[int, tuple[int, FloatArray]]] = {}
             self._sensor_m: dict[int, FloatArray] = {}
             self._frames_of: dict[int, list[int]] = {}
+            self._last_step: dict[int, list[float]] = {}
 
     def frame(self, clusters: Clusters, tracks: Tracks) -> None:
         self._lives.add(tracks, len(clusters))
@@ -131,9 +133,11 @@ class _Evaluation:
         match = self._association.add(objects, alive)
         self._accuracy.add(objects, alive, match.rows, match.columns)
         matched_objects = objects.object_id[match.rows].tolist()
-        self._object_of[alive.frame_index] = dict(
-            zip(alive.track_id[match.columns].tolist(), matched_objects, strict=True)
-        )
+        matched_tracks = alive.track_id[match.columns].tolist()
+        places = alive.state[match.columns, :2]
+        self._matched[alive.frame_index] = {
+            track: (i, place) for track, i, place in zip(matched_tracks, matched_objects, places, strict=True)
+        }
         self._sensor_m[alive.frame_index] = alive.world_from_sensor[:2, 3]
         for i in objects.object_id[objects.in_range].tolist():
             seen = self._frames_of.setdefault(i, [0, 0])
@@ -163,9 +167,11 @@ class _Evaluation:
             self._later[name].add(record, rows, blocks[rows], error[rows], {})
 
     def _against_truth(self, scene: Scene, record: Predictions, target_ns: IntArray) -> None:
-        object_of = self._object_of.get(record.frame_index, {})
-        rows = np.array([i for i, t in enumerate(record.track_id.tolist()) if t in object_of], dtype=np.int64)
-        objects = np.array([object_of[t] for t in record.track_id[rows].tolist()], dtype=np.int64)
+        matched = self._matched.get(record.frame_index, {})
+        rows = np.array([i for i, t in enumerate(record.track_id.tolist()) if t in matched], dtype=np.int64)
+        pairs = [matched[t] for t in record.track_id[rows].tolist()]
+        objects = np.array([i for i, _ in pairs], dtype=np.int64)
+        place = np.array([at for _, at in pairs]).reshape(-1, 1, 2)
         p, steps = len(rows), len(target_ns)
         true_m, yaw = scene.position_at(np.repeat(objects, steps), np.tile(target_ns, p))
         true_m, yaw = true_m.reshape(p, steps, 2), yaw.reshape(p, steps)
@@ -177,8 +183,13 @@ class _Evaluation:
         corrected = {
             "sight_corrected_": error - rotate(np.broadcast_to(sight, error.shape), line),
             "body_corrected_": error - rotate(np.broadcast_to(body, error.shape), yaw),
+            "still_": place - true_m,
         }
         self._forecast.add(record, rows, scene.blocks(objects, record.stamp_ns), error, corrected)
+        last = np.hypot(error[:, -1, 0], error[:, -1, 1])
+        for i, distance in zip(objects.tolist(), last.tolist(), strict=True):
+            if np.isfinite(distance):
+                self._last_step.setdefault(i, []).append(distance)
 
     def report(self) -> Report:
         report = Report()
@@ -202,6 +213,8 @@ class _Evaluation:
                 "frames_in_range": frames,
                 "frames_tracked": tracked,
                 **accuracy.get(i, {}),
+                "predictions": len(self._last_step.get(i, ())),
+                "last_step_error_m": float(np.mean(self._last_step[i])) if i in self._last_step else None,
             }
             for i, (frames, tracked) in sorted(self._frames_of.items())
         ]

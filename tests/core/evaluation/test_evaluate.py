@@ -61,6 +61,10 @@ def test_prediction_errors_by_hand() -> None:
     assert value(report, "prediction.coverage_90.2.0s") == 1.0
     assert value(report, "prediction.coverage_90.3.0s") == 0.0
     assert value(report, "prediction.coverage_sigma_radius") == 1.0
+    still = (0.05 * np.arange(1, 31)) ** 2  # the object goes 5 cm a step in x
+    assert value(report, "prediction.rmse_still_x_m") == pytest.approx(np.sqrt((weight * still).sum() / weight.sum()))
+    assert report.objects[0]["predictions"] == 40
+    assert report.objects[0]["last_step_error_m"] == pytest.approx(np.hypot(0.3, 0.02))
     conformal = report.metrics["prediction.coverage_conformal_radius"]
     assert (conformal.value, conformal.n) == (None, 0)
 
