@@ -1,8 +1,8 @@
 """From clustered points to obstacles: a circle with a height, an oriented rectangle, and over-long
 clusters split into several circles.
 
-Centre ('auto'). Where the points fit an arc of a circle well - residual near the range noise, an arc
-wide enough to fix the centre, convex towards the sensor - it is the least-squares circle's centre
+Centre ('auto'). Where the points fit an arc of a circle well - residual near the range noise and no
+larger than from a rectangle, an arc wide enough to fix the centre, convex towards the sensor - it is the least-squares circle's centre
 (posts, trunks, barrels, round robots). Otherwise it is the centre of the rectangle fitted to the
 points (vehicles, boxes, walls, people). Between the two, the centre is blended continuously by the
 quality of the fit, so that it does not jump from frame to frame as it would with a switch.
@@ -41,12 +41,16 @@ from adcbf_cli.core.types import NO_ID, BoolArray, FloatArray, IntArray
 THIN = 0.1
 """A rectangle that fills less of its circle is a wall: its width is below 0.08 of its length."""
 
-NARROW_ARC_RAD = np.radians(90.0)
-WIDE_ARC_RAD = np.radians(130.0)
+NARROW_ARC_RAD = np.radians(60.0)
+WIDE_ARC_RAD = np.radians(100.0)
 """Below the first an arc does not fix a circle's centre, from the second on it does."""
 
 ROUNDNESS = 0.03
 """Real trunks and posts are out of round by about this share of their radius."""
+
+BOXY = 0.5
+"""A rectangle that explains the points with half the circle's variance rules the circle out; where
+both do equally well (small posts, whose shape drowns in the noise) the circle is taken."""
 
 MIN_CIRCLE_POINTS = 8
 
@@ -127,7 +131,9 @@ def circle_weight(circle: Circles, box: Rectangles, size: IntArray, range_noise_
     spans = np.clip((np.nan_to_num(circle.arc_rad) - NARROW_ARC_RAD) / (WIDE_ARC_RAD - NARROW_ARC_RAD), 0.0, 1.0)
     behind = np.hypot(*np.nan_to_num(circle.centre_m).T) - np.hypot(*box.centre_m.T)
     convex = np.clip(1.0 + behind / np.where(np.isfinite(radius), 0.25 * radius, 1.0), 0.0, 1.0)
-    weight: FloatArray = np.where(size >= MIN_CIRCLE_POINTS, fits * spans * convex, 0.0)
+    ratio = (box.rms_m / np.maximum(np.nan_to_num(circle.rms_m, nan=np.inf), 1e-9)) ** 2
+    rounder = np.clip((ratio - BOXY) / (1.0 - BOXY), 0.0, 1.0)
+    weight: FloatArray = np.where(size >= MIN_CIRCLE_POINTS, fits * spans * convex * rounder, 0.0)
     return weight
 
 

@@ -44,12 +44,14 @@ class Circles:
 @dataclass(frozen=True, slots=True)
 class Rectangles:
     """g rectangles around all points: centre_m (g, 2), length_m >= width_m, yaw_rad (g,) of the length,
-    in (-pi/2, pi/2]."""
+    in (-pi/2, pi/2]. rms_m (g,): how far the points scatter about their nearest sides; each side is
+    taken where its own points are on average, since the outermost ones lie off it by the noise."""
 
     centre_m: FloatArray
     length_m: FloatArray
     width_m: FloatArray
     yaw_rad: FloatArray
+    rms_m: FloatArray
 
 
 def group_index(start: IntArray, n: int) -> IntArray:
@@ -196,10 +198,17 @@ def rectangles_at(xy_m: FloatArray, start: IntArray, yaw_rad: FloatArray) -> Rec
     u, v = (low + high) / 2, (right + left) / 2
     centre = np.column_stack([cosine * u - sine * v, sine * u + cosine * v])
     length, width = high - low, left - right
+    to_sides = np.stack([along - low[owner], high[owner] - along, across - right[owner], left[owner] - across])
+    nearest = 4 * owner + np.argmin(to_sides, axis=0)
+    distance = to_sides.min(axis=0)
+    on_side = np.maximum(np.bincount(nearest, minlength=4 * len(start)), 1)
+    side = np.bincount(nearest, distance, minlength=4 * len(start)) / on_side
+    size = np.diff(np.append(start, len(xy_m)))
+    rms = np.sqrt(np.add.reduceat((distance - side[nearest]) ** 2, start) / size)
     turned = width > length
     yaw = np.where(turned, yaw_rad + np.pi / 2, yaw_rad)
     yaw = np.pi / 2 - np.mod(np.pi / 2 - yaw, np.pi)
-    return Rectangles(centre, np.maximum(length, width), np.minimum(length, width), yaw)
+    return Rectangles(centre, np.maximum(length, width), np.minimum(length, width), yaw, rms)
 
 
 def farthest(xy_m: FloatArray, start: IntArray, centre_m: FloatArray) -> FloatArray:
