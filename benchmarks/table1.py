@@ -11,10 +11,11 @@ default settings but for the crop, which has to hold the circle. Errors are agai
     step 30     the last step alone, 3 s ahead
 
 An RMSE is taken over a run (one seed); shown are the mean over runs and the half width of its 95 %
-t interval. Row by row, one choice is changed and the others stay.
+t interval. With --vary, each further row changes one choice, and the others stay.
 
-    python benchmarks/table1.py                    # 20 seeds, the table of variants
-    python benchmarks/table1.py --only base        # 20 seeds, the base case alone
+    python benchmarks/table1.py                    # the case itself, 20 seeds
+    python benchmarks/table1.py --vary --seeds 5   # which choices move it
+    python benchmarks/table1.py --only "model ct" --only base
     python benchmarks/table1.py --set tracking.model=ct --seeds 5 --first-seed 100
 """
 
@@ -150,7 +151,8 @@ class Road:
         self.ids.add(int(tracks.track_id[row]))
         self.errors["tracking"].append(tracks.state[row : row + 1, :2] - place)
         ahead = predictions.position_m[np.flatnonzero(predictions.track_id == tracks.track_id[row])[0], :, :2]
-        error = ahead - positions(now_s + self.step_s * np.arange(1, len(ahead) + 1))
+        later_s: FloatArray = now_s + self.step_s * np.arange(1.0, len(ahead) + 1)
+        error: FloatArray = ahead - positions(later_s)
         self.errors["prediction"].append(error)
         self.errors["step_30"].append(error[-1:])
 
@@ -262,7 +264,8 @@ def parse_arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--seeds", type=int, default=20, metavar="N", help="runs of each variant (default 20)")
     parser.add_argument("--first-seed", type=int, default=0, metavar="N", help="seeds count from here (default 0)")
     parser.add_argument("--duration", type=float, default=PERIOD_S, metavar="S", help="default: one turn, 66.7 s")
-    parser.add_argument("--only", action="append", metavar="NAME", help="this variant alone; repeatable")
+    parser.add_argument("--vary", action="store_true", help="all variants, not the base case alone")
+    parser.add_argument("--only", action="append", metavar="NAME", help="this variant; repeatable")
     parser.add_argument("--set", action="append", default=[], metavar="STAGE.KEY=VALUE", help="a setting for all")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write all runs' values here")
     parsed = parser.parse_args(arguments)
@@ -281,7 +284,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     import yaml
 
     chosen = parse_arguments(arguments)
-    variants = [variant for variant in VARIANTS if chosen.only is None or variant.name in chosen.only]
+    wanted = chosen.only or (None if chosen.vary else ["base"])
+    variants = [variant for variant in VARIANTS if wanted is None or variant.name in wanted]
     extra = {key: yaml.safe_load(value) for key, value in (item.split("=", 1) for item in chosen.set)}
     runs: dict[str, list[Road]] = {variant.name: [] for variant in variants}
     seeds = range(chosen.first_seed, chosen.first_seed + chosen.seeds)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -45,30 +46,32 @@ def simulate(
     from adcbf_cli.commands.terminal import print_json, print_table, progress
     from adcbf_cli.core.simulation.parsing import parse_scenario
     from adcbf_cli.core.simulation.simulator import Simulator
+    from adcbf_cli.io.atomic import atomic_path
+    from adcbf_cli.io.truth_writer import write_truth
 
     simulator = Simulator(parse_scenario(_read(scenario), scenario.name), seed)
     log = output if output is not None else Path(f"{scenario.stem}.mcap")
     _check_targets(scenario, log, truth)
+    boxes = simulator.truth(simulator.stamps())
     scans = progress(simulator, simulator.scans, "simulate")
-    points = write_log(log, simulator, scans)
+    with ExitStack() as together:
+        if truth is not None:  # renamed after the log is, so that the two are never long of different runs
+            write_truth(together.enter_context(atomic_path(truth)), simulator.stamps(), boxes)
+        points = write_log(log, simulator, scans)
     summary: dict[str, Any] = {
         "log": str(log),
         "truth": None if truth is None else str(truth),
         "seed": simulator.seed,
         "scans": simulator.scans,
         "points": points,
-        "objects": len(simulator.world.movers) + len(simulator.world.statics),
+        "objects": len(boxes),
         "bytes": log.stat().st_size,
     }
-    if truth is not None:
-        from adcbf_cli.io.truth_writer import write_truth
-
-        write_truth(truth, simulator.stamps(), simulator.truth(simulator.stamps()))
     if json_output:
         print_json(summary)
     else:
         print_table(
-            "Simulated", ("", "value"), [(key, str(value)) for key, value in summary.items() if value is not None]
+            "Simulated", ("what", "value"), [(key, str(value)) for key, value in summary.items() if value is not None]
         )
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from adcbf_cli.core.simulation.objects import TruthBox
 from adcbf_cli.core.types import IntArray
-from adcbf_cli.io.atomic import atomic_path
 
 COLUMNS = (
     "timestamp_ns", "track_id", "class", "x_m", "y_m", "z_m", "yaw_rad", "length_m", "width_m", "height_m",
@@ -18,8 +17,8 @@ COLUMNS = (
 
 def write_truth(path: Path, stamp_ns: IntArray, boxes: Sequence[TruthBox]) -> None:
     """boxes[i] is object i at all the (n,) stamps. Positions are box centres in the world frame, to a
-    tenth of a millimetre."""
-    with atomic_path(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as stream:
+    tenth of a millimetre. `path` is for the caller to make atomic."""
+    with path.open("w", newline="", encoding="utf-8") as stream:
         table = csv.writer(stream, lineterminator="\n")
         table.writerow(COLUMNS)
         for row, stamp in enumerate(stamp_ns):

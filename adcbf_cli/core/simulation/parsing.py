@@ -76,11 +76,12 @@ def _plain_message(kind: str, message: str, context: dict[str, Any]) -> str:
 
 
 def _unknown_key(key: str) -> str:
-    near = difflib.get_close_matches(key, sorted(_all_keys()), n=1)
+    near = difflib.get_close_matches(key, sorted(scenario_keys()), n=1)
     return f"unknown key; did you mean {near[0]!r}?" if near else "unknown key"
 
 
-def _all_keys() -> set[str]:
+def scenario_keys() -> set[str]:
+    """Every key that a scenario may hold, at any level."""
     keys: set[str] = set()
     waiting: list[Any] = [Scenario]
     seen: set[Any] = set()

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import pytest
 
 from adcbf_cli.core.errors import UsageError
-from adcbf_cli.core.simulation.parsing import parse_scenario
+from adcbf_cli.core.simulation.parsing import parse_scenario, scenario_keys
 from adcbf_cli.core.simulation.scenario import CirclePath, SpinningLidar
 
 MINIMAL = """
@@ -84,3 +87,15 @@ def test_waypoints_that_contradict_themselves_are_refused(path: str, message: st
     with pytest.raises(UsageError, match=message) as raised:
         parse_scenario(text, "s.yaml")
     assert str(raised.value).startswith("s.yaml: movers.0.path: ")
+
+
+def test_every_key_is_described():
+    page = (Path(__file__).parents[3] / "docs" / "scenarios.md").read_text(encoding="utf-8")
+    words = set(re.findall(r"\w+", " ".join(re.findall(r"`([^`\n]+)`", page))))
+    assert scenario_keys() - words == set()
+
+
+def test_the_documented_example_is_valid():
+    page = (Path(__file__).parents[3] / "docs" / "scenarios.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    assert parse_scenario(example).movers[0].kind == "person"
