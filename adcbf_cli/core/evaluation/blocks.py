@@ -17,6 +17,9 @@ from adcbf_cli.core.types import FloatArray, IntArray
 RESAMPLES = 1000
 MIN_BLOCKS = 5
 """With fewer blocks there is no interval: it would say more about chance than about the metric."""
+MAX_BLOCKS = 200
+"""More blocks than this are dealt into this many hands: the interval's width stays the same, and its
+cost no longer grows with the log."""
 _CHUNK = 100
 
 
@@ -64,6 +67,10 @@ class BlockSums:
         if len(cells) < MIN_BLOCKS:
             return None
         table = np.array([cells[key] for key in sorted(cells)])
+        if len(table) > MAX_BLOCKS:
+            hands = np.zeros((MAX_BLOCKS, 2))
+            np.add.at(hands, np.arange(len(table)) % MAX_BLOCKS, table)
+            table = hands
         rng = np.random.default_rng(zlib.crc32(name.encode()))
         share = np.full(len(table), 1.0 / len(table))
         means = np.concatenate([_resampled_means(rng, table, share) for _ in range(RESAMPLES // _CHUNK)])

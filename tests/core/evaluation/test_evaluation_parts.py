@@ -112,6 +112,16 @@ def test_intervals_are_drawn_over_blocks_not_samples() -> None:
     assert few.interval("a", lambda m: m) is None
 
 
+def test_intervals_of_many_blocks_have_the_right_width() -> None:
+    values = np.random.default_rng(2).normal(3, 1, 10_000)
+    sums = BlockSums()
+    sums.add(np.arange(len(values)), {"a": values})
+    interval = sums.interval("a", lambda m: m)
+    assert interval is not None
+    assert interval[1] - interval[0] == pytest.approx(2 * 1.96 / np.sqrt(len(values)), rel=0.15)
+    assert interval[0] < values.mean() < interval[1]
+
+
 def test_block_keys_tell_objects_and_times_apart() -> None:
     keys = block_keys(np.array([0, 0, 1, 0]), np.array([0, 4, 0, 5]) * SECOND, 5 * SECOND)
     assert keys[0] == keys[1]
