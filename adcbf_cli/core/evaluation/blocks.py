@@ -67,11 +67,11 @@ class BlockSums:
         if len(cells) < MIN_BLOCKS:
             return None
         table = np.array([cells[key] for key in sorted(cells)])
-        if len(table) > MAX_BLOCKS:
-            hands = np.zeros((MAX_BLOCKS, 2))
-            np.add.at(hands, np.arange(len(table)) % MAX_BLOCKS, table)
-            table = hands
         rng = np.random.default_rng(zlib.crc32(name.encode()))
+        if len(table) > MAX_BLOCKS:  # at random: dealing in order would even out what differs between objects
+            hands = np.zeros((MAX_BLOCKS, 2))
+            np.add.at(hands, rng.permutation(len(table)) % MAX_BLOCKS, table)
+            table = hands
         share = np.full(len(table), 1.0 / len(table))
         means = np.concatenate([_resampled_means(rng, table, share) for _ in range(RESAMPLES // _CHUNK)])
         low, high = np.quantile(transform(means), [0.025, 0.975])
