@@ -251,7 +251,7 @@ def _keep_clusters(records: Iterable[Clusters], writers: dict[str, TableWriter])
         writers["clusters"].write(tables.cluster_columns(record))
         if "points" in writers:
             writers["points"].write(tables.point_columns(record))
-        yield record
+        yield tables.with_stored_pose(record)
 
 
 def _keep(records: Iterable[Record], columns: Callable[[Record], Any], writer: TableWriter) -> Iterator[Record]:

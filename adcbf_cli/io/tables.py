@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -175,6 +176,14 @@ def frame_columns(record: Clusters) -> Columns:
         **{f"points_{name}": [getattr(record.counts, name)] for name in _COUNTS},
         "clusters": [len(record)],
     }
+
+
+def with_stored_pose(record: Clusters) -> Clusters:
+    """The record with its pose as `frames` keeps it, rounded through a quaternion, so that later
+    stages see the same bits in the same pass as when they read the table."""
+    pose = record.world_from_sensor
+    stored = se3.pose_matrix(pose[:3, 3], se3.quaternion_from_rotation(pose[:3, :3]))
+    return replace(record, world_from_sensor=stored)
 
 
 def cluster_columns(record: Clusters) -> Columns:
