@@ -38,7 +38,7 @@ _MAX_HEADER_BYTES = 1 << 20
 _MESSAGE, _BAG, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
 
 
-class BadRecord(Exception):
+class BadRecord(ValueError):
     """Bytes that are no bag record."""
 
 
@@ -116,14 +116,15 @@ class BagLog(Log):
     def _hop(self) -> bool:
         """Collect chunks and connections from record to record; True where the file is whole and indexed."""
         position = len(MAGIC)
-        ended = False
-        declared = 0
+        ended, whole, declared = False, True, -1
+        resume: list[int] = []
         while position < self._size:
             try:
                 header, data, end = self._record_at(position)
                 operation = _operation(header)
                 if operation == _BAG:
                     declared = _U32.unpack(header.get(b"chunk_count", bytes(4)))[0]
+                    resume = self._places_in_index(header)
                     if header.get(b"encryptor"):
                         raise AdcbfError(f"{self.path} is encrypted; decrypt it first")
                 elif operation in (_CONNECTION, _MESSAGE) and self._chunks and self._chunks[-1].length == 0:
@@ -139,13 +140,30 @@ class BagLog(Log):
                 ended = ended or operation == _CHUNK_INFO
                 position = end
             except (BadRecord, struct.error) as error:
-                self._note_damage(position, str(error))
-                return False
+                whole = False
+                following = next((place for place in resume if place > position), None)
+                self._note_damage(position, following, str(error))
+                if following is None:
+                    return False
+                position = following
         if self._chunks and self._chunks[-1].offset + self._chunks[-1].length > self._size:
-            self._note_damage(self._chunks[-1].offset, "its last chunk is incomplete")
-        elif declared != len(self._chunks) or (self._chunks and not ended):
+            self._note_damage(self._chunks[-1].offset, None, "its last chunk is incomplete")
+        elif whole and (declared != len(self._chunks) or (self._chunks and not ended)):
             self.lose(f"{self.path.name} is cut off, or was not closed by its recorder: its index is missing")
-        return ended and all(chunk.complete for chunk in self._chunks)
+        return whole and ended and all(chunk.complete for chunk in self._chunks)
+
+    def _places_in_index(self, bag_header: dict[bytes, bytes]) -> list[int]:
+        """Where chunks and the index begin, as the index at the end says: places to go on at after damage."""
+        (position,) = struct.unpack("<Q", bag_header.get(b"index_pos", bytes(8)))
+        places = [position] if position else []
+        while 0 < position < self._size:
+            try:
+                header, _, position = self._record_at(position)
+            except (BadRecord, struct.error):
+                break
+            if b"chunk_pos" in header and len(header[b"chunk_pos"]) == 8:
+                places.append(struct.unpack("<Q", header[b"chunk_pos"])[0])
+        return sorted(place for place in places if place < self._size)
 
     def _record_at(self, position: int) -> tuple[dict[bytes, bytes], int, int]:
         """Header fields, where the data starts, and where the record ends."""
@@ -165,8 +183,9 @@ class BagLog(Log):
             raise BadRecord("a record is cut off")
         return header, data, data + data_bytes
 
-    def _note_damage(self, position: int, why: str) -> None:
-        self.lose(f"{self.path.name} is readable up to byte {position} of {self._size}; the rest is lost ({why})")
+    def _note_damage(self, position: int, following: int | None, why: str) -> None:
+        until = f"to {following}" if following is not None else f"to the end ({self._size})"
+        self.lose(f"{self.path.name} is damaged from byte {position} {until}: {why}")
 
     def _add_index(self, header: dict[bytes, bytes], data: int) -> None:
         (number,) = _U32.unpack(header[b"conn"]) if b"conn" in header else (0,)
@@ -193,10 +212,13 @@ class BagLog(Log):
         self._by_number.setdefault(_U32.unpack(header[b"conn"])[0], Connection(topic, kind, "ros1"))
 
     def _complete_from_contents(self) -> None:
-        """Read chunks without index records once, for their connections and first times."""
+        """What a missing index would tell: the connections, and the first times of chunks without index records."""
         for chunk in self._chunks:
-            times = [int(part.min()) for _, part in self._chunk_times(chunk)]
-            if times:
+            known = all(number in self._by_number for number, _, _ in chunk.indexes)
+            if chunk.complete and known:
+                continue
+            times = [log_ns for _, log_ns, _ in self._chunk_records(chunk)]
+            if times and not chunk.complete:
                 chunk.start_ns = min(times)
 
     # --- chunks

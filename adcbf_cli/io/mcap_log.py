@@ -61,7 +61,7 @@ class _Block:
     index: tuple[int, int] | None
 
 
-class Damaged(Exception):
+class Damaged(ValueError):
     """Bytes that are not what the format says; the text says where."""
 
 
@@ -146,6 +146,9 @@ class McapLog(Log):
         if not len(MAGIC) <= footer.summary_start < self._size - tail:
             return False
         summary = memoryview(self._at(footer.summary_start, self._size - tail - footer.summary_start))
+        checked = zlib.crc32(raw[: _FOOTER_BYTES - 4], zlib.crc32(summary))
+        if footer.summary_crc and footer.summary_crc != checked:
+            raise Damaged("its checksum is wrong")
         for opcode, body in _records(summary):
             if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self._register(opcode, body)
@@ -195,6 +198,8 @@ class McapLog(Log):
                 if opcode == Opcode.MESSAGE and run_start_ns == 0:
                     run_start_ns = struct.unpack_from("<HIQ", head, _RECORD_HEAD.size)[2]
             elif opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                if self._at(self._size - len(MAGIC), len(MAGIC)) != MAGIC:
+                    self.notes.warn(f"{self.path.name}: the index at its end is cut off; all messages are there")
                 return
             position = end
         if run:

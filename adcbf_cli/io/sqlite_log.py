@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable, Collection, Iterator
+from itertools import pairwise
 from pathlib import Path
 from urllib.parse import quote
 
@@ -42,6 +43,11 @@ class SqliteLog(Log):
             raise
 
     def _open(self) -> None:
+        self._cut_off = self._is_cut_off()
+        if self._cut_off:
+            self.lose(f"{self.path.name} is cut off: the database is shorter than it says")
+            # SQLite refuses a file that lacks pages unless it is told that repairs are under way.
+            self._database.execute("PRAGMA writable_schema=ON")
         try:
             rows = self._database.execute("SELECT id, name, type, serialization_format FROM topics ORDER BY id")
             for number, topic, kind, encoding in rows:
@@ -51,9 +57,7 @@ class SqliteLog(Log):
             raise AdcbfError(f"{self.path} is not a readable rosbag2 database ({error})") from error
         self.connections = tuple(dict.fromkeys(self._by_number.values()))
         self.container = "rosbag2 SQLite (.db3)"
-        self._sorted_by_index = not self._is_cut_off() and self._has_time_index()
-        if self._is_cut_off():
-            self.lose(f"{self.path.name} is cut off: the database is shorter than it says")
+        self._sorted_by_index = not self._cut_off and self._has_time_index()
 
     def close(self) -> None:
         self._database.close()
@@ -61,7 +65,7 @@ class SqliteLog(Log):
     def start_ns(self) -> int:
         try:
             return int(self._database.execute("SELECT MIN(timestamp) FROM messages").fetchone()[0] or 0)
-        except (sqlite3.DatabaseError, ValueError):
+        except (sqlite3.DatabaseError, ValueError, TypeError):
             return 0
 
     def count(self, topic: str) -> int | None:
@@ -84,9 +88,11 @@ class SqliteLog(Log):
             except sqlite3.DatabaseError as error:
                 self.lose(f"{self.path.name}: the database is damaged ({error}); read as far as it goes")
         # Where the time index cannot be used, messages come as they were written, which is time order but for
-        # messages of different topics written at the same moment.
+        # messages of different topics written at the same moment. SQLite fills a page that is cut in the middle with
+        # zeros, so of a cut file the last message is not to be trusted.
         try:
-            yield from self._rows(wanted, "id", last_ns)
+            rows = self._rows(wanted, "id", last_ns)
+            yield from (row for row, _ in pairwise(rows)) if self._cut_off else rows
         except sqlite3.DatabaseError as error:
             self.lose(f"{self.path.name}: the database is damaged ({error}); read as far as it goes")
 
@@ -97,7 +103,8 @@ class SqliteLog(Log):
             while batch := cursor.fetchmany(_BATCH_ROWS):
                 by_number: dict[int, list[int]] = {}
                 for number, log_ns in batch:
-                    by_number.setdefault(number, []).append(int(log_ns))
+                    if isinstance(number, int) and isinstance(log_ns, int):
+                        by_number.setdefault(number, []).append(log_ns)
                 for number, times in by_number.items():
                     if number in self._by_number:
                         statistics[self._by_number[number].topic].add(np.array(times, dtype=np.int64))
