@@ -95,13 +95,17 @@ def _metric_table(metrics: dict[str, Metric]) -> Iterable[str]:
     yield "| metric | value | 95 % interval | unit | n | of |"
     yield "| --- | ---: | --- | --- | ---: | --- |"
     for name, metric in metrics.items():
-        row = (f"`{name}`", number(metric.value), interval(metric), unit(metric), str(metric.n), metric.sample)
-        yield f"| {' | '.join(row)} |"
+        yield _row(f"`{name}`", number(metric.value), interval(metric), unit(metric), metric.n, metric.sample)
 
 
 def _object_table(objects: list[dict[str, Any]]) -> Iterable[str]:
-    yield f"| {' | '.join(_OBJECT_COLUMNS)} |"
-    yield f"| {' | '.join('---' for _ in _OBJECT_COLUMNS)} |"
+    yield _row(*_OBJECT_COLUMNS)
+    yield _row(*("---" for _ in _OBJECT_COLUMNS))
     for entry in objects:
         cells = (entry.get(name) for name in _OBJECT_COLUMNS)
-        yield f"| {' | '.join(number(c) if isinstance(c, float) else '-' if c is None else str(c) for c in cells)} |"
+        yield _row(*(number(c) if isinstance(c, float) or c is None else c for c in cells))
+
+
+def _row(*cells: object) -> str:
+    """One table row. Class names come from the user's file and may hold anything."""
+    return f"| {' | '.join(' '.join(str(cell).split()).replace('|', chr(92) + '|') for cell in cells)} |"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -200,3 +201,27 @@ def test_every_metric_is_described_in_the_docs() -> None:
         stem = re.sub(r"coverage_(50|90|95)$", "coverage_50", stem)
         stem = re.sub(r"corrected_(x_|y_|)m$", "corrected_*", stem)
         assert f"`{stem}`" in page or f"`{stem}." in page, name
+
+
+def test_real_street_from_points_to_score(real_data: Callable[[str], Path], tmp_path: Path) -> None:
+    log, labels = real_data("kitti0000/kitti0000_a.mcap"), real_data("kitti0000/kitti0000_a_gt_tracks.csv")
+    document = json.loads(call(log, "-t", labels, "--range", "20", "-o", tmp_path / "run", "--json").stdout)
+    metrics = document["metrics"]
+    assert document["basis"]["truth"]["labelled_fov_deg"] == pytest.approx([-42.3, 20.3], abs=0.1)
+    assert metrics["detection.recall"]["n"] == 152, "every label within 20 m, and no more"
+    assert metrics["detection.recall"]["value"] > 0.9
+    assert metrics["detection.track_recall"]["value"] > 0.8
+    assert metrics["prediction.fde_m.1.0s"]["n"] > 80
+    assert metrics["bias.along_m"]["value"] < 0, "what is seen of traffic is its near side"
+    assert {row["class"] for row in document["objects"]} == {"Van", "Cyclist", "Pedestrian"}
+
+
+def test_real_motion_capture_as_truth(real_data: Callable[[str], Path], tmp_path: Path) -> None:
+    log = real_data("datmo/parallel.bag")
+    options = ("--pose", "/ego_pose", "--truth", "topic:/red_pose", "-o", tmp_path / "run", "--json")
+    metrics = json.loads(call(log, *options).stdout)["metrics"]
+    assert metrics["detection.recall"]["value"] > 0.9
+    assert metrics["tracking.rmse_m"]["n"] > 150
+    assert metrics["tracking.rmse_m"]["value"] < 0.5
+    assert metrics["clear.mota"]["value"] is None
+    assert metrics["hota.ass_a"]["value"] is not None

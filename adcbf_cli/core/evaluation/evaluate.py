@@ -211,7 +211,7 @@ class _Evaluation:
                 "object_id": i,
                 "class": scene.category[i],
                 "frames_in_range": frames,
-                "frames_tracked": tracked,
+                "frames_tracked": None if scene.is_background(i) else tracked,
                 **accuracy.get(i, {}),
                 "predictions": len(self._last_step.get(i, ())),
                 "last_step_error_m": float(np.mean(self._last_step[i])) if i in self._last_step else None,

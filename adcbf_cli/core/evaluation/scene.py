@@ -55,10 +55,13 @@ class Scene:
         values = np.column_stack([truth.position_m, truth.yaw_rad, truth.length_m, truth.width_m])
         self.paths = Paths(truth.track_id, truth.stamp_ns, values, round(config.max_gap_s * 1e9), angle_column=_YAW)
         self.category = dict(zip(truth.track_id.tolist(), truth.category, strict=True))
-        background = {name.casefold() for name in config.background_classes}
-        self._background = np.array([self.category[i].casefold() in background for i in self.paths.ids.tolist()])
+        self._background_classes = {name.casefold() for name in config.background_classes}
+        self._background = np.array([self.is_background(i) for i in self.paths.ids.tolist()], dtype=bool)
         self.field_of_view_rad = _field_of_view(truth, config)
         self._ignored = truth.ignored
+
+    def is_background(self, object_id: int) -> bool:
+        return self.category[object_id].casefold() in self._background_classes
 
     def at_frame(self, stamp_ns: int, world_from_sensor: FloatArray) -> FrameObjects:
         ids, values = self.paths.present(stamp_ns)
@@ -70,7 +73,7 @@ class Scene:
             yaw_rad=values[:, _YAW],
             length_m=values[:, _LENGTH],
             width_m=values[:, _WIDTH],
-            background=self._background[np.searchsorted(self.paths.ids, ids)].astype(bool),
+            background=self._background[np.searchsorted(self.paths.ids, ids)],
             in_range=distance <= self.range_m,
         )
 

@@ -228,6 +228,7 @@ def test_scenery_counts_for_detection_only() -> None:
     assert value(report, "clear.false_positives_all_tracks") == 0
     assert value(report, "clear.mota_all_tracks") == 1.0
     assert report.metrics["clear.mota"].n == 40
+    assert report.objects[1]["frames_tracked"] is None
     assert report.metrics["tracking.rmse_m"].n == 40
 
 
