@@ -75,8 +75,8 @@ def wrap_angle(angle_rad: FloatArray) -> FloatArray:
 
 
 def clean_frame_id(name: str) -> str:
-    """Frame ids without the leading slash (and the space) that ROS 1 allowed."""
-    return name.strip().lstrip("/")
+    """Frame ids without the leading slash (and the space) that ROS 1 allowed, and without control characters."""
+    return "".join(character for character in name if character.isprintable()).strip().lstrip("/")
 
 
 def slerp(start_xyzw: FloatArray, end_xyzw: FloatArray, fraction: FloatArray) -> FloatArray:

@@ -26,6 +26,7 @@ from adcbf_cli.io.log_base import (
     TopicInfo,
     TopicStatistics,
     merge_lazily,
+    printable,
     sorted_infos,
 )
 from adcbf_cli.io.ros_messages import ros2_type_name
@@ -95,7 +96,7 @@ class BagLog(Log):
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         wanted = None
         if topics is not None:
-            wanted = {number for number, at in self._by_number.items() if at.topic in set(topics)}
+            wanted = {number for number, at in self._by_number.items() if at.topic in topics}
 
         chunks = [
             chunk
@@ -207,8 +208,8 @@ class BagLog(Log):
         details = _fields(memoryview(data))
         if b"conn" not in header or b"type" not in details:
             raise BadRecord("a connection record without its fields")
-        topic = header.get(b"topic", b"").decode("utf-8", "replace")
-        kind = ros2_type_name(details[b"type"].decode("utf-8", "replace"))
+        topic = printable(header.get(b"topic", b"").decode("utf-8", "replace"))
+        kind = printable(ros2_type_name(details[b"type"].decode("utf-8", "replace")))
         self._by_number.setdefault(_U32.unpack(header[b"conn"])[0], Connection(topic, kind, "ros1"))
 
     def _complete_from_contents(self) -> None:
@@ -307,7 +308,7 @@ def _operation(header: dict[bytes, bytes]) -> int:
 
 
 def _chunk(header: dict[bytes, bytes], offset: int, length: int) -> _Chunk:
-    compression = header.get(b"compression", b"").decode("ascii", "replace")
+    compression = printable(header.get(b"compression", b"").decode("ascii", "replace"))
     (unpacked_bytes,) = _U32.unpack(header.get(b"size", bytes(4)))
     return _Chunk(offset, length, compression, unpacked_bytes, 0, [], False)
 

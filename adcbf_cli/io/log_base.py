@@ -21,6 +21,11 @@ MAX_BLOCK_BYTES = 1 << 30
 """No chunk may unpack to more than this, whatever its header claims."""
 
 
+def printable(text: str) -> str:
+    """Text out of a file, as one line that is safe on a terminal."""
+    return "".join(character if character.isprintable() else " " for character in text)
+
+
 @dataclass(frozen=True)
 class Connection:
     """A topic as recorded. msgtype in ROS 2 form: sensor_msgs/msg/PointCloud2; encoding 'cdr', 'ros1' or other."""
@@ -122,7 +127,7 @@ class Log(ABC):
         """Report a loss once, however often the damaged place is read."""
         if what not in self._reported:
             self._reported.add(what)
-            self.notes.lose(what, count)
+            self.notes.lose(printable(what), count)
 
     def __enter__(self) -> Self:
         return self

@@ -33,6 +33,7 @@ from adcbf_cli.io.log_base import (
     TopicInfo,
     TopicStatistics,
     merge_lazily,
+    printable,
     sorted_infos,
 )
 from adcbf_cli.io.ros_messages import ros2_type_name
@@ -117,7 +118,7 @@ class McapLog(Log):
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         wanted = None
         if topics is not None:
-            wanted = {number for number, channel in self._by_channel.items() if channel.topic in set(topics)}
+            wanted = {number for number, at in self._by_channel.items() if at.topic in topics}
         blocks = [
             block
             for block in self._blocks
@@ -156,7 +157,7 @@ class McapLog(Log):
                 self._counts = dict(Statistics.read(_stream(body)).channel_message_counts)
             elif opcode == Opcode.CHUNK_INDEX:
                 index = ChunkIndex.read(_stream(body))
-                self._compressions.add(index.compression)
+                self._compressions.add(printable(index.compression))
                 end = index.chunk_start_offset + index.chunk_length
                 if not len(MAGIC) <= index.chunk_start_offset < end <= self._size:
                     raise Damaged("a chunk index points outside the file")
@@ -241,7 +242,9 @@ class McapLog(Log):
             channel = self._channels[number]
             schema = self._schemas.get(channel.schema_id)
             self._by_channel[number] = Connection(
-                channel.topic, ros2_type_name(schema.name) if schema else "", channel.message_encoding
+                printable(channel.topic),
+                printable(ros2_type_name(schema.name)) if schema else "",
+                printable(channel.message_encoding),
             )
         return self._by_channel[number]
 
@@ -302,7 +305,7 @@ class McapLog(Log):
         if name_bytes > 32 or position + name_bytes + 8 > len(raw):
             raise Damaged("its head is damaged")
         compression = raw[position : position + name_bytes].decode("ascii", "replace")
-        self._compressions.add(compression)
+        self._compressions.add(printable(compression))
         packed = memoryview(raw)[position + name_bytes + 8 :]
         if unpacked_bytes > MAX_BLOCK_BYTES:
             raise Damaged(f"it claims {unpacked_bytes} bytes")

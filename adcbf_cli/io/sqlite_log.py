@@ -19,6 +19,7 @@ from adcbf_cli.io.log_base import (
     Message,
     TopicInfo,
     TopicStatistics,
+    printable,
     sorted_infos,
 )
 from adcbf_cli.io.ros_messages import ros2_type_name
@@ -51,10 +52,12 @@ class SqliteLog(Log):
         try:
             rows = self._database.execute("SELECT id, name, type, serialization_format FROM topics ORDER BY id")
             for number, topic, kind, encoding in rows:
-                self._by_number[int(number)] = Connection(str(topic), ros2_type_name(str(kind)), str(encoding))
+                self._by_number[int(number)] = Connection(
+                    printable(str(topic)), printable(ros2_type_name(str(kind))), printable(str(encoding))
+                )
             self._database.execute("SELECT id, topic_id, timestamp, data FROM messages LIMIT 0")
         except (sqlite3.DatabaseError, ValueError, TypeError) as error:
-            raise AdcbfError(f"{self.path} is not a readable rosbag2 database ({error})") from error
+            raise AdcbfError(f"{self.path} is not a readable rosbag2 database ({printable(str(error))})") from error
         self.connections = tuple(dict.fromkeys(self._by_number.values()))
         self.container = "rosbag2 SQLite (.db3)"
         self._sorted_by_index = not self._cut_off and self._has_time_index()
