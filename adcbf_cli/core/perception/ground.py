@@ -7,7 +7,7 @@ All heights are in the levelled sensor frame (origin at the sensor, z against gr
    from that plane (a shear: upright things stay upright), so that a 20 degree slope looks flat.
 2. Patchwork++ (Lee et al., IROS 2022) fits planes to small patches of what is left and so follows
    the ground's shape. Its patches are sized as in the publication for a car's 80 m, and kept about
-   2 m long for the smaller surroundings of a small robot.
+   1.5 m long for the smaller surroundings of a small robot.
 3. A *height map* of the ground that it found says for each remaining point how high above the local
    ground it is. That drops overhangs, the remains in patches with too few points for a fit, and
    roofs that were taken for ground.
@@ -39,17 +39,17 @@ FIT_RADIUS_M = 20.0
 
 CAR_RINGS = (2, 4, 4, 4)
 CAR_SECTORS = (16, 32, 54, 32)
-PATCH_M = 2.0
+PATCH_M = 1.5
 """Patchwork++'s published zones for a car, and the size that its patches keep in smaller ones."""
 
 MAX_SLOPE = 0.7
 """Steepest coarse plane: 35 degrees."""
 
-STEEPEST_DROP = 0.36
-"""Ground falls at most 20 degrees below the coarse plane; points lower still are reflections."""
-
 DROP_M = 0.5
-"""... plus this near the robot."""
+"""Points this far below the coarse plane, in a hole of the lowest points' surface ..."""
+
+HOLE_CELLS = 5
+"""... narrower than this many metres, are reflections or in a ditch."""
 
 PLANE_TOLERANCE_M = 0.15
 MAX_SENSOR_HEIGHT_M = 5.0
@@ -207,14 +207,32 @@ class GroundRemoval:
         """Heights above Patchwork++'s ground; -inf for its ground points that are no roofs."""
         if self._patchwork is None:
             self._patchwork = _new_patchwork(sensor_height_m, self._config.min_range_m, self.fit_radius_m)
-        distance = np.hypot(points_m[:, 0], points_m[:, 1])
-        fitted = np.flatnonzero(above_plane_m > -DROP_M - STEEPEST_DROP * distance)
+        fitted = np.flatnonzero(~_in_holes(points_m[:, :2], above_plane_m))
         flattened = np.column_stack([points_m[fitted, :2], above_plane_m[fitted] - sensor_height_m])
         self._patchwork.estimateGround(flattened.astype(np.float32))
         ground = fitted[self._patchwork.getGroundIndices()]
         if len(ground) == 0:
             return above_plane_m
         return _above_ground_map(points_m[:, :2], above_plane_m, ground)
+
+
+def _in_holes(xy_m: FloatArray, above_plane_m: FloatArray) -> BoolArray:
+    """Points (n,) in narrow holes below the coarse plane: reflections. They would pull a patch's plane
+    down, and leave its ground as an obstacle."""
+    from scipy.ndimage import grey_closing
+
+    low = above_plane_m < -DROP_M
+    if not low.any():
+        return low
+    index = np.floor(xy_m).astype(np.int64)
+    index -= index.min(axis=0)
+    shape = tuple(index.max(axis=0) + 1)
+    cell = index[:, 0] * shape[1] + index[:, 1]
+    floor = np.zeros(shape[0] * shape[1])
+    np.minimum.at(floor, cell, above_plane_m)
+    closed = grey_closing(floor.reshape(shape), size=(HOLE_CELLS, HOLE_CELLS)).ravel()
+    holes: BoolArray = low & (above_plane_m < closed[cell] - DROP_M)
+    return holes
 
 
 def _above_ground_map(xy_m: FloatArray, height_m: FloatArray, ground: np.ndarray) -> FloatArray:

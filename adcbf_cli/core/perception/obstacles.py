@@ -2,7 +2,8 @@
 clusters split into several circles.
 
 Centre ('auto'). Where the points fit an arc of a circle well - residual near the range noise and no
-larger than from a rectangle, an arc wide enough to fix the centre, convex towards the sensor - it is the least-squares circle's centre
+larger than from a rectangle, an arc wide enough to fix the centre, convex towards the sensor - it is
+the least-squares circle's centre
 (posts, trunks, barrels, round robots). Otherwise it is the centre of the rectangle fitted to the
 points (vehicles, boxes, walls, people). Between the two, the centre is blended continuously by the
 quality of the fit, so that it does not jump from frame to frame as it would with a switch.
