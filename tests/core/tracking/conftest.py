@@ -51,6 +51,6 @@ def build_clusters(
     )
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_clusters() -> Callable[..., Clusters]:
     return build_clusters
