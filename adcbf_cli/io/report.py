@@ -14,8 +14,8 @@ JSON_NAME = "report.json"
 MARKDOWN_NAME = "report.md"
 
 _SECTIONS = {
+    "clustering": "Cluster centres against truth",
     "tracking": "Tracking against truth",
-    "bias": "Clustering-centre bias",
     "prediction": "Prediction against truth",
     "detection": "Detection",
     "clear": "CLEAR MOT",
@@ -25,8 +25,9 @@ _SECTIONS = {
     "tracks": "Tracks",
 }
 _OBJECT_COLUMNS = (
-    "object_id", "class", "frames_in_range", "frames_tracked", "tracks", "rmse_m", "rmse_sight_corrected_m",
-    "bias_along_m", "bias_across_m", "bias_body_x_m", "bias_body_y_m", "predictions", "last_step_error_m",
+    "object_id", "class", "frames_in_range", "frames_tracked", "tracks", "cluster_rmse_m", "track_rmse_m",
+    "track_rmse_sight_corrected_m", "bias_along_m", "bias_across_m", "bias_body_x_m", "bias_body_y_m",
+    "predictions", "last_step_error_m",
 )  # fmt: skip
 
 

@@ -200,6 +200,7 @@ def test_every_metric_is_described_in_the_docs() -> None:
         stem = re.sub(r"^later_seen(\.moving)?\.", "prediction.", stem)
         stem = re.sub(r"coverage_(50|90|95)$", "coverage_50", stem)
         stem = re.sub(r"corrected_(x_|y_|)m$", "corrected_*", stem)
+        stem = re.sub(r"^(tracking|clustering)\.", "", stem)
         assert f"`{stem}`" in page or f"`{stem}." in page, name
 
 
@@ -212,7 +213,7 @@ def test_real_street_from_points_to_score(real_data: Callable[[str], Path], tmp_
     assert metrics["detection.recall"]["value"] > 0.9
     assert metrics["detection.track_recall"]["value"] > 0.8
     assert metrics["prediction.fde_m.1.0s"]["n"] > 80
-    assert metrics["bias.along_m"]["value"] < 0, "what is seen of traffic is its near side"
+    assert metrics["clustering.bias_along_m"]["value"] < 0, "what is seen of traffic is its near side"
     assert {row["class"] for row in document["objects"]} == {"Van", "Cyclist", "Pedestrian"}
 
 

@@ -1,5 +1,5 @@
-"""Tracking against truth: errors of matched tracks, the clustering-centre bias in them, and how
-honest the filter's covariance is.
+"""Centres against truth: errors of matched clusters and tracks, the clustering-centre bias in them, and
+how honest a filter's covariance is.
 
 A LiDAR sees one side of a thing, so the centre of what it sees lies nearer than the thing's
 centre. That bias is no tracking error and does not average out; it is measured here per object,
@@ -26,7 +26,7 @@ from adcbf_cli.core.evaluation.formulas import (
 )
 from adcbf_cli.core.evaluation.report import Metric
 from adcbf_cli.core.evaluation.scene import FrameObjects, Scene
-from adcbf_cli.core.types import BoolArray, FloatArray, IntArray, Tracks
+from adcbf_cli.core.types import BoolArray, FloatArray, IntArray
 
 SAMPLE = "matched object and frame"
 SECTORS = 12
@@ -36,7 +36,7 @@ MIN_SECTOR_SAMPLES = 10
 
 @dataclass(frozen=True, slots=True)
 class Bias:
-    """Mean errors of one object's tracks, metres: along the line of sight (positive is farther from
+    """Mean errors of one object's centre, metres: along the line of sight (positive is farther from
     the sensor) and across it (positive is to the left); in the object's axes, NaN where its yaw is
     unknown; and in its axes by the side it is seen from, one row for each of SECTORS equal sectors
     of the sensor's azimuth around the object, counted from its front, with their sample counts."""
@@ -48,26 +48,40 @@ class Bias:
 
 
 class Accuracy:
-    """Matched pairs of every frame, kept as compact arrays: `add`, then `finish`, then the results."""
+    """Pairs of every frame, kept as compact arrays: `add`, then `finish`, then the results.
 
-    def __init__(self, scene: Scene) -> None:
+    prefix: of the metrics' names. what: is paired with objects, for the definitions.
+    """
+
+    def __init__(self, scene: Scene, prefix: str, what: str) -> None:
         self._scene = scene
+        self._prefix = prefix
+        self._what = what
         self._parts: list[tuple[Any, ...]] = []
         self.biases: dict[int, Bias] = {}
 
-    def add(self, objects: FrameObjects, tracks: Tracks, rows: IntArray, columns: IntArray) -> None:
-        """One frame's pairs: object rows[i] is track columns[i]."""
-        true_m = objects.position_m[rows, :2]
-        sensor_m = np.broadcast_to(tracks.world_from_sensor[:2, 3], true_m.shape)
+    def add(
+        self,
+        objects: FrameObjects,
+        estimate_id: IntArray,
+        estimate_m: FloatArray,
+        covariance_m2: FloatArray,
+        stamp_ns: int,
+        world_from_sensor: FloatArray,
+    ) -> None:
+        """One frame's k pairs: object i was taken to be at estimate_m[i] (k, 2), with covariance (k, 2, 2)
+        (NaN where there is none), by the track or cluster of this id."""
+        true_m = objects.position_m[:, :2]
+        sensor_m = np.broadcast_to(world_from_sensor[:2, 3], true_m.shape)
         self._parts.append(
             (
-                objects.object_id[rows],
-                tracks.track_id[columns],
-                self._scene.blocks(objects.object_id[rows], tracks.stamp_ns),
-                tracks.state[columns, :2] - true_m,
-                tracks.covariance[columns][:, :2, :2],
+                objects.object_id,
+                estimate_id,
+                self._scene.blocks(objects.object_id, stamp_ns),
+                estimate_m - true_m,
+                covariance_m2,
                 bearing(sensor_m, true_m),
-                objects.yaw_rad[rows],
+                objects.yaw_rad,
             )
         )
 
@@ -78,7 +92,7 @@ class Accuracy:
         else:
             shapes: list[tuple[int, ...]] = [(0,), (0,), (0,), (0, 2), (0, 2, 2), (0,), (0,)]
             joined = [np.zeros(s, dtype=np.int64 if i < 3 else np.float64) for i, s in enumerate(shapes)]
-        self.object_id, self.track_id, self._blocks, self.error_m, self._cov, self._bearing, self._yaw = joined
+        self.object_id, self._estimate_id, self._blocks, self.error_m, self._cov, self._bearing, self._yaw = joined
         self._sight = rotate(self.error_m, -self._bearing)
         self._body = rotate(self.error_m, -self._yaw)
         aspect = (self._bearing + np.pi - self._yaw) % (2 * np.pi)  # where the sensor is, from the object's front
@@ -111,7 +125,8 @@ class Accuracy:
         rows = [getattr(self.biases[i], name) for i in self.object_id.tolist()]
         return np.array(rows).reshape(-1, 2)
 
-    def metrics(self) -> dict[str, Metric]:
+    def metrics(self, consistency: bool) -> dict[str, Metric]:
+        """consistency: also how honest the covariances are."""
         sums = BlockSums()
         errors = {"": self.error_m, **{f"{k}_corrected_": v for k, v in self.corrected().items()}}
         for prefix, error in errors.items():
@@ -119,14 +134,19 @@ class Accuracy:
             sums.add(
                 self._blocks, {f"{prefix}x": square[:, 0], f"{prefix}y": square[:, 1], f"{prefix}xy": square.sum(1)}
             )
-        nees = mahalanobis2(self.error_m, self._cov)
-        sums.add(self._blocks, {"nees": nees, "sight_nees": mahalanobis2(errors["sight_corrected_"], self._cov)})
-        for level in COVERAGE_LEVELS:
-            sums.add(self._blocks, {f"{level}": covered(nees, ellipse_threshold(level))})
-        return {**self._rmse(sums), **self._consistency(sums), **self._bias_metrics()}
+        result = self._rmse(sums) | self._bias_metrics()
+        if consistency:
+            nees = mahalanobis2(self.error_m, self._cov)
+            sums.add(self._blocks, {"nees": nees, "sight_nees": mahalanobis2(errors["sight_corrected_"], self._cov)})
+            for level in COVERAGE_LEVELS:
+                sums.add(self._blocks, {f"{level}": covered(nees, ellipse_threshold(level))})
+            result |= self._consistency(sums)
+        return result
 
     def _rmse(self, sums: BlockSums) -> dict[str, Metric]:
-        base = "root mean square of the track's centre minus the object's, all matched pairs of object and frame"
+        base = (
+            f"root mean square of the {self._what}'s centre minus the object's, all matched pairs of object and frame"
+        )
         after = {
             "": "",
             "sight_corrected_": "; after removal of each object's mean error along and across the line of sight "
@@ -142,7 +162,7 @@ class Accuracy:
         for prefix, suffix in after.items():
             for key, (name, axis) in axes.items():
                 mean = sums.mean(prefix + key)
-                result["tracking." + name.format(prefix)] = Metric(
+                result[f"{self._prefix}.{name.format(prefix)}"] = Metric(
                     None if mean is None else float(np.sqrt(mean)),
                     "m",
                     sums.count(prefix + key),
@@ -158,7 +178,7 @@ class Accuracy:
             "which neighbouring frames are not",
             "sight_nees": "the same after removal of each object's mean error along and across the line of sight",
         }
-        names = {"nees": "tracking.nees", "sight_nees": "tracking.nees_sight_corrected"}
+        names = {"nees": f"{self._prefix}.nees", "sight_nees": f"{self._prefix}.nees_sight_corrected"}
         result = {
             name: Metric(
                 sums.mean(key),
@@ -172,7 +192,7 @@ class Accuracy:
             for key, name in names.items()
         }
         for level in COVERAGE_LEVELS:
-            result[f"tracking.coverage_{level * 100:g}"] = Metric(
+            result[f"{self._prefix}.coverage_{level * 100:g}"] = Metric(
                 sums.mean(f"{level}"),
                 "1",
                 sums.count(f"{level}"),
@@ -185,36 +205,45 @@ class Accuracy:
     def _bias_metrics(self) -> dict[str, Metric]:
         oriented = self._body[np.isfinite(self._yaw)]
         columns = {
-            "bias.along_m": (self._sight[:, 0], "along the line of sight; negative is towards the sensor"),
-            "bias.across_m": (self._sight[:, 1], "across the line of sight; positive is to its left"),
-            "bias.body_x_m": (oriented[:, 0], "along the object's own x axis; objects of known yaw"),
-            "bias.body_y_m": (oriented[:, 1], "along the object's own y axis; objects of known yaw"),
+            "along": (self._sight[:, 0], "along the line of sight; negative is towards the sensor"),
+            "across": (self._sight[:, 1], "across the line of sight; positive is to its left"),
+            "body_x": (oriented[:, 0], "along the object's own x axis; objects of known yaw"),
+            "body_y": (oriented[:, 1], "along the object's own y axis; objects of known yaw"),
         }
         return {
-            name: Metric(
+            f"{self._prefix}.bias_{name}_m": Metric(
                 float(values.mean()) if len(values) else None,
                 "m",
                 len(values),
                 SAMPLE,
-                f"clustering-centre bias: mean of the track's centre minus the object's {text}",
+                f"mean of the {self._what}'s centre minus the object's {text}",
             )
             for name, (values, text) in columns.items()
         }
 
-    def objects(self) -> dict[int, dict[str, Any]]:
-        """For the table of objects: accuracy and bias of each one that was ever matched."""
-        result: dict[int, dict[str, Any]] = {}
+    def object_errors(self) -> dict[int, dict[str, Any]]:
+        """For the table of objects: how many ids each had, and its errors."""
         corrected = self.corrected()["sight"]
-        for i, bias in self.biases.items():
+        result: dict[int, dict[str, Any]] = {}
+        for i in self.biases:
             mine = self.object_id == i
             result[i] = {
-                "tracks": len(np.unique(self.track_id[mine])),
+                "ids": len(np.unique(self._estimate_id[mine])),
                 "rmse_m": float(np.sqrt((self.error_m[mine] ** 2).sum(axis=1).mean())),
                 "rmse_sight_corrected_m": float(np.sqrt((corrected[mine] ** 2).sum(axis=1).mean())),
+            }
+        return result
+
+    def object_biases(self) -> dict[int, dict[str, Any]]:
+        """For the table of objects: each one's bias, null where its yaw is unknown."""
+        result: dict[int, dict[str, Any]] = {}
+        for i, bias in self.biases.items():
+            body = [float(x) if np.isfinite(x) else None for x in bias.body_m]
+            result[i] = {
                 "bias_along_m": float(bias.sight_m[0]),
                 "bias_across_m": float(bias.sight_m[1]),
-                "bias_body_x_m": float(bias.body_m[0]) if np.isfinite(bias.body_m[0]) else None,
-                "bias_body_y_m": float(bias.body_m[1]) if np.isfinite(bias.body_m[1]) else None,
+                "bias_body_x_m": body[0],
+                "bias_body_y_m": body[1],
                 "bias_by_aspect": [
                     {"from_deg": k * 360 // SECTORS, "n": int(n), "body_x_m": float(at[0]), "body_y_m": float(at[1])}
                     for k, (n, at) in enumerate(zip(bias.aspect_n, bias.aspect_m, strict=True))

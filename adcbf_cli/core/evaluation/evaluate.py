@@ -17,8 +17,9 @@ from adcbf_cli.core.evaluation.detection import DetectionScore
 from adcbf_cli.core.evaluation.forecasts import ForecastScore, Reference
 from adcbf_cli.core.evaluation.formulas import bearing, rotate
 from adcbf_cli.core.evaluation.lives import TrackLives, reported
+from adcbf_cli.core.evaluation.matching import assign
 from adcbf_cli.core.evaluation.report import Report
-from adcbf_cli.core.evaluation.scene import Scene
+from adcbf_cli.core.evaluation.scene import FrameObjects, Scene
 from adcbf_cli.core.types import BoolArray, Clusters, FloatArray, IntArray, Notes, Predictions, Tracks, Truth
 
 DEFAULT_RANGE_M = 20.0
@@ -105,7 +106,8 @@ class _Evaluation:
         if scene is not None:
             self._detection = DetectionScore(scene, config)
             self._association = AssociationScore(scene, config)
-            self._accuracy = Accuracy(scene)
+            self._clustering = Accuracy(scene, "clustering", "cluster")
+            self._tracking = Accuracy(scene, "tracking", "track")
             self._forecast = ForecastScore(AGAINST_TRUTH, config.horizons_s)
             self._matched: dict[int, dict[int, tuple[int, FloatArray]]] = {}
             self._sensor_m: dict[int, FloatArray] = {}
@@ -131,7 +133,15 @@ class _Evaluation:
             alive.world_from_sensor,
         )
         match = self._association.add(objects, alive)
-        self._accuracy.add(objects, alive, match.rows, match.columns)
+        self._pair_clusters(objects, clusters)
+        self._tracking.add(
+            objects.where(match.rows),
+            alive.track_id[match.columns],
+            alive.state[match.columns, :2],
+            alive.covariance[match.columns][:, :2, :2],
+            alive.stamp_ns,
+            alive.world_from_sensor,
+        )
         matched_objects = objects.object_id[match.rows].tolist()
         matched_tracks = alive.track_id[match.columns].tolist()
         places = alive.state[match.columns, :2]
@@ -144,10 +154,24 @@ class _Evaluation:
             seen[0] += 1
             seen[1] += i in matched_objects
 
+    def _pair_clusters(self, objects: FrameObjects, clusters: Clusters) -> None:
+        """Clusters and objects, one to one, for the bias of the clusters' centres alone."""
+        targets = objects.where(objects.in_range & ~objects.background)
+        rows, columns = assign(*targets.compare(clusters.centre_m, self._config))
+        self._clustering.add(
+            targets.where(rows),
+            clusters.cluster_id[columns],
+            clusters.centre_m[columns, :2],
+            np.full((len(rows), 2, 2), np.nan),
+            clusters.stamp_ns,
+            clusters.world_from_sensor,
+        )
+
     def end_of_frames(self) -> None:
         self._lives.finish(self._config.max_gap_s)
         if self._scene is not None:
-            self._accuracy.finish()
+            self._clustering.finish()
+            self._tracking.finish()
 
     def predictions(self, record: Predictions) -> None:
         steps = record.position_m.shape[1]
@@ -176,7 +200,7 @@ class _Evaluation:
         true_m, yaw = scene.position_at(np.repeat(objects, steps), np.tile(target_ns, p))
         true_m, yaw = true_m.reshape(p, steps, 2), yaw.reshape(p, steps)
         error = record.position_m[rows, :, :2] - true_m
-        biases = [self._accuracy.biases[i] for i in objects.tolist()]
+        biases = [self._tracking.biases[i] for i in objects.tolist()]
         sight = np.array([b.sight_m for b in biases]).reshape(p, 1, 2)
         body = np.array([b.body_m for b in biases]).reshape(p, 1, 2)
         line = bearing(self._sensor_m[record.frame_index], true_m) if p else np.zeros((0, steps))
@@ -194,7 +218,8 @@ class _Evaluation:
     def report(self) -> Report:
         report = Report()
         if self._scene is not None:
-            report.metrics |= self._accuracy.metrics()
+            report.metrics |= self._clustering.metrics(consistency=False)
+            report.metrics |= self._tracking.metrics(consistency=True)
             report.metrics |= self._forecast.metrics()
             report.metrics |= self._detection.metrics()
             report.metrics |= self._association.metrics()
@@ -205,14 +230,19 @@ class _Evaluation:
         return report
 
     def _object_rows(self, scene: Scene) -> list[dict[str, Any]]:
-        accuracy = self._accuracy.objects()
+        clustering, tracking = self._clustering.object_errors(), self._tracking.object_errors()
+        biases, nothing = self._clustering.object_biases(), dict[str, Any]()
         return [
             {
                 "object_id": i,
                 "class": scene.category[i],
                 "frames_in_range": frames,
                 "frames_tracked": None if scene.is_background(i) else tracked,
-                **accuracy.get(i, {}),
+                "tracks": tracking.get(i, nothing).get("ids"),
+                "cluster_rmse_m": clustering.get(i, nothing).get("rmse_m"),
+                "track_rmse_m": tracking.get(i, nothing).get("rmse_m"),
+                "track_rmse_sight_corrected_m": tracking.get(i, nothing).get("rmse_sight_corrected_m"),
+                **biases.get(i, nothing),
                 "predictions": len(self._last_step.get(i, ())),
                 "last_step_error_m": float(np.mean(self._last_step[i])) if i in self._last_step else None,
             }

@@ -34,7 +34,7 @@ class FrameObjects:
     def __len__(self) -> int:
         return len(self.object_id)
 
-    def where(self, keep: BoolArray) -> FrameObjects:
+    def where(self, keep: BoolArray | IntArray) -> FrameObjects:
         return FrameObjects(*(getattr(self, name)[keep] for name in FrameObjects.__slots__))
 
     def compare(self, point_m: FloatArray, config: EvaluationConfig) -> tuple[FloatArray, BoolArray]:

@@ -35,7 +35,7 @@ class Labelled:
 
 @dataclass
 class Seen:
-    """One track and the cluster behind it. `ahead(t0, t)` predicts xy for times t (k,) seen at t0;
+    """One track and the cluster behind it, at `measured` or at the same place. `ahead(t0, t)` predicts xy for times t (k,) seen at t0;
     by default it knows the future path."""
 
     path: Path
@@ -44,6 +44,7 @@ class Seen:
     sigma_m: float = 0.1
     ahead: Callable[[float, np.ndarray], np.ndarray] | None = None
     status: TrackStatus = TrackStatus.CONFIRMED
+    measured: Path | None = None
 
 
 @dataclass
@@ -93,7 +94,8 @@ class Run:
         ]
 
     def clusters(self, k: int) -> Clusters:
-        centre = np.array([[*at, 0.0] for _, _, at in self.alive(k)]).reshape(-1, 3)
+        t = np.array([k / 10])
+        centre = np.array([[*(s.measured or s.path)(t)[0], 0.0] for _, s, _ in self.alive(k)]).reshape(-1, 3)
         n = len(centre)
         ones = np.ones(n)
         return Clusters(

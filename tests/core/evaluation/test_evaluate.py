@@ -81,16 +81,30 @@ def test_bias_towards_the_sensor_is_named_and_removed() -> None:
 
     unknown_yaw = Labelled(circle, yaw=lambda t: np.full_like(t, np.nan))
     report = Run([unknown_yaw], [Seen(near)], count=80).score()
-    assert value(report, "bias.along_m") == pytest.approx(-0.3)
-    assert value(report, "bias.across_m") == pytest.approx(0.1)
+    assert value(report, "clustering.bias_along_m") == pytest.approx(-0.3)
+    assert value(report, "clustering.bias_across_m") == pytest.approx(0.1)
     assert value(report, "tracking.rmse_m") == pytest.approx(np.hypot(0.3, 0.1))
     assert value(report, "tracking.rmse_sight_corrected_m") == pytest.approx(0.0, abs=1e-9)
     assert value(report, "tracking.nees") == pytest.approx(10.0)
     assert value(report, "tracking.nees_sight_corrected") == pytest.approx(0.0, abs=1e-9)
     assert value(report, "prediction.rmse_sight_corrected_x_m") == pytest.approx(0.0, abs=1e-9)
     assert value(report, "prediction.rmse_x_m") > 0.1
-    assert report.metrics["bias.body_x_m"].value is None
+    assert report.metrics["clustering.bias_body_x_m"].value is None
     assert report.metrics["tracking.rmse_body_corrected_m"].value is None
+
+
+def test_what_the_filter_adds_is_told_from_what_clustering_gave() -> None:
+    """Clusters sit 0.1 m to the left of a thing that comes straight on; the track lags 0.2 m behind them."""
+    coming = line(9.0, 0.0, vx=-1.0)
+    seen = Seen(lambda t: coming(t) + [0.2, -0.1], measured=lambda t: coming(t) + [0.0, -0.1])
+    report = Run([Labelled(coming, yaw=lambda t: np.full_like(t, np.pi))], [seen]).score()
+    assert value(report, "clustering.bias_body_x_m") == pytest.approx(0.0, abs=1e-9)
+    assert value(report, "clustering.bias_body_y_m") == pytest.approx(0.1)
+    assert value(report, "tracking.bias_body_x_m") == pytest.approx(-0.2)
+    assert value(report, "clustering.rmse_m") == pytest.approx(0.1)
+    assert value(report, "tracking.rmse_m") == pytest.approx(np.hypot(0.2, 0.1))
+    assert report.objects[0]["bias_body_y_m"] == pytest.approx(0.1)
+    assert report.objects[0]["track_rmse_m"] == pytest.approx(np.hypot(0.2, 0.1))
 
 
 def test_bias_fixed_to_the_body_is_found_in_its_axes() -> None:
@@ -103,8 +117,8 @@ def test_bias_fixed_to_the_body_is_found_in_its_axes() -> None:
         return WALK(t) - 0.4 * np.stack([np.cos(yaw(t)), np.sin(yaw(t))], axis=-1)
 
     report = Run([Labelled(WALK, yaw=yaw)], [Seen(behind)], count=60).score()
-    assert value(report, "bias.body_x_m") == pytest.approx(-0.4)
-    assert value(report, "bias.body_y_m") == pytest.approx(0.0, abs=1e-9)
+    assert value(report, "clustering.bias_body_x_m") == pytest.approx(-0.4)
+    assert value(report, "clustering.bias_body_y_m") == pytest.approx(0.0, abs=1e-9)
     assert value(report, "tracking.rmse_body_corrected_m") == pytest.approx(0.0, abs=1e-9)
     assert value(report, "prediction.rmse_body_corrected_x_m") == pytest.approx(0.0, abs=1e-9)
     assert value(report, "tracking.rmse_sight_corrected_m") > 0.1
