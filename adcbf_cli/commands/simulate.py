@@ -10,13 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 if TYPE_CHECKING:
+    from adcbf_cli.core.simulation.objects import TruthBox
     from adcbf_cli.core.simulation.simulator import SimulatedScan, Simulator
-    from adcbf_cli.core.types import FloatArray
+    from adcbf_cli.core.types import FloatArray, IntArray
     from adcbf_cli.io.mcap_writer import LogWriter
 
 ODOM_TOPIC = "/odom"
 ODOM_FRAME = "odom"
 BASE_FRAME = "base_link"
+TRUTH_BLOCK = 100
+"""Scans whose truth is held at once."""
 
 
 def simulate(
@@ -52,11 +55,10 @@ def simulate(
     simulator = Simulator(parse_scenario(_read(scenario), scenario.name), seed)
     log = output if output is not None else Path(f"{scenario.stem}.mcap")
     _check_targets(scenario, log, truth)
-    boxes = simulator.truth(simulator.stamps())
     scans = progress(simulator, simulator.scans, "simulate")
     with ExitStack() as together:
         if truth is not None:  # renamed after the log is, so that the two are never long of different runs
-            write_truth(together.enter_context(atomic_path(truth)), simulator.stamps(), boxes)
+            write_truth(together.enter_context(atomic_path(truth)), _truth_blocks(simulator))
         points = write_log(log, simulator, scans)
     summary: dict[str, Any] = {
         "log": str(log),
@@ -64,7 +66,7 @@ def simulate(
         "seed": simulator.seed,
         "scans": simulator.scans,
         "points": points,
-        "objects": len(boxes),
+        "objects": len(simulator.world.movers) + len(simulator.world.statics),
         "bytes": log.stat().st_size,
     }
     if json_output:
@@ -73,6 +75,13 @@ def simulate(
         print_table(
             "Simulated", ("what", "value"), [(key, str(value)) for key, value in summary.items() if value is not None]
         )
+
+
+def _truth_blocks(simulator: Simulator) -> Iterator[tuple[IntArray, list[TruthBox]]]:
+    stamps = simulator.stamps()
+    for first in range(0, len(stamps), TRUTH_BLOCK):
+        block = stamps[first : first + TRUTH_BLOCK]
+        yield block, simulator.truth(block)
 
 
 def write_log(path: Path, simulator: Simulator, scans: Iterable[SimulatedScan]) -> int:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from adcbf_cli.core.frames import wrap_angle
 from adcbf_cli.core.simulation.objects import TruthBox
 from adcbf_cli.core.types import IntArray
 
@@ -15,19 +16,27 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def write_truth(path: Path, stamp_ns: IntArray, boxes: Sequence[TruthBox]) -> None:
-    """boxes[i] is object i at all the (n,) stamps. Positions are box centres in the world frame, to a
-    tenth of a millimetre. `path` is for the caller to make atomic."""
+def write_truth(path: Path, blocks: Iterable[tuple[IntArray, Sequence[TruthBox]]]) -> None:
+    """Each block of time: its (n,) stamps, and boxes of which the i-th is object i at all of them.
+
+    Positions are box centres in the world frame, to a tenth of a millimetre. `path` is for the caller
+    to make atomic.
+    """
     with path.open("w", newline="", encoding="utf-8") as stream:
         table = csv.writer(stream, lineterminator="\n")
         table.writerow(COLUMNS)
-        for row, stamp in enumerate(stamp_ns):
-            for track_id, box in enumerate(boxes):
-                place = (box.x_m[row], box.y_m[row], box.z_m[row], box.yaw_rad[row])
-                size = (box.length_m, box.width_m, box.height_m)
-                speed = (box.vx_mps[row], box.vy_mps[row])
-                numbers = [_decimal(float(value)) for value in (*place, *size, *speed)]
-                table.writerow([int(stamp), track_id, box.category, *numbers])
+        for stamp_ns, boxes in blocks:
+            for row, stamp in enumerate(stamp_ns):
+                table.writerows(_row(int(stamp), number, box, row) for number, box in enumerate(boxes))
+
+
+def _row(stamp_ns: int, track_id: int, box: TruthBox, row: int) -> list[str | int]:
+    """Object `track_id`'s line at the row-th of its box's times."""
+    yaw = -wrap_angle(-box.yaw_rad[row])  # in (-pi, pi]
+    place = (box.x_m[row], box.y_m[row], box.z_m[row], yaw)
+    size = (box.length_m, box.width_m, box.height_m)
+    speed = (box.vx_mps[row], box.vy_mps[row])
+    return [stamp_ns, track_id, box.category, *(_decimal(float(value)) for value in (*place, *size, *speed))]
 
 
 def _decimal(value: float) -> str:

@@ -14,10 +14,11 @@ from pydantic import Field, model_validator
 from adcbf_cli.core.config import NonNegative, Positive, StageConfig
 
 Point2 = tuple[float, float]
+Length = Annotated[float, Field(gt=0, le=1000)]
 Share = Annotated[float, Field(ge=0, lt=1)]
 
 MAX_RAYS_PER_SCAN = 500_000
-MAX_TERRAIN_CELLS = 4_000_000
+MAX_TERRAIN_CELLS = 1_000_000
 
 
 class StandPath(StageConfig):
@@ -79,7 +80,7 @@ class CirclePath(StageConfig):
 
     kind: Literal["circle"]
     centre_m: Point2
-    radius_m: Positive
+    radius_m: Length
     frequency_hz: float = Field(description="Revolutions per second; negative turns the other way.")
     start_angle_deg: float = Field(0.0, description="Added to 2 pi w t.")
 
@@ -98,12 +99,12 @@ class Terrain(StageConfig):
 
     kind: Literal["flat", "bumps"] = "flat"
     centre_m: Point2 = (0.0, 0.0)
-    size_m: Annotated[float, Field(gt=0, le=2000)] = Field(100.0, description="Side of the square of ground.")
+    size_m: Length = Field(100.0, description="Side of the square of ground.")
     slope_deg: Annotated[float, Field(ge=0, le=45)] = 0.0
     uphill_deg: float = Field(0.0, description="Azimuth of the slope's rise, from x towards y.")
     amplitude_m: NonNegative = Field(0.1, description="Bumps: largest height above or below the plane.")
-    wavelength_m: Positive = Field(3.0, description="Bumps: shortest wavelength; the longest is four times it.")
-    cell_m: Positive = Field(0.25, description="Bumps: side of the mesh's cells.")
+    wavelength_m: Length = Field(3.0, description="Bumps: shortest wavelength; the longest is four times it.")
+    cell_m: Length = Field(0.25, description="Bumps: side of the mesh's cells.")
 
     @model_validator(mode="after")
     def _resolves_its_bumps(self) -> Terrain:
@@ -120,10 +121,10 @@ class Tree(StageConfig):
 
     kind: Literal["tree"]
     at_m: Point2
-    trunk_radius_m: Positive = 0.15
-    trunk_height_m: Positive = 3.5
-    crown_radius_m: Positive = 1.2
-    crown_height_m: Positive = 2.5
+    trunk_radius_m: Length = 0.15
+    trunk_height_m: Length = 3.5
+    crown_radius_m: Length = 1.2
+    crown_height_m: Length = 2.5
 
 
 class Rock(StageConfig):
@@ -131,7 +132,7 @@ class Rock(StageConfig):
 
     kind: Literal["rock"]
     at_m: Point2
-    size_m: tuple[Positive, Positive, Positive] = (0.8, 0.6, 0.5)
+    size_m: tuple[Length, Length, Length] = (0.8, 0.6, 0.5)
     yaw_deg: float = 0.0
 
 
@@ -141,8 +142,8 @@ class Wall(StageConfig):
     kind: Literal["wall"]
     from_m: Point2
     to_m: Point2
-    height_m: Positive = 2.0
-    thickness_m: Positive = 0.2
+    height_m: Length = 2.0
+    thickness_m: Length = 0.2
 
     @model_validator(mode="after")
     def _has_length(self) -> Wall:
@@ -156,7 +157,7 @@ class Box(StageConfig):
 
     kind: Literal["box"]
     at_m: Point2
-    size_m: tuple[Positive, Positive, Positive]
+    size_m: tuple[Length, Length, Length]
     yaw_deg: float = 0.0
 
 
@@ -171,7 +172,7 @@ class Person(StageConfig):
     height_m: Annotated[float, Field(ge=0.8, le=2.5)] = 1.75
     width_m: Annotated[float, Field(ge=0.25, le=1.0)] = 0.5
     depth_m: Annotated[float, Field(ge=0.15, le=1.0)] = 0.3
-    stride_m: Positive = Field(1.4, description="Ground covered by one swing of each leg.")
+    stride_m: Length = Field(1.4, description="Ground covered by one swing of each leg.")
 
 
 class Vehicle(StageConfig):
@@ -179,7 +180,7 @@ class Vehicle(StageConfig):
 
     kind: Literal["vehicle"]
     path: Path
-    size_m: tuple[Positive, Positive, Positive] = (4.2, 1.8, 1.5)
+    size_m: tuple[Length, Length, Length] = (4.2, 1.8, 1.5)
     ground_clearance_m: NonNegative = 0.2
 
 
@@ -188,8 +189,8 @@ class Cylinder(StageConfig):
 
     kind: Literal["cylinder"]
     path: Path
-    radius_m: Positive = 0.48
-    height_m: Positive = 1.5
+    radius_m: Length = 0.48
+    height_m: Length = 1.5
 
 
 Mover = Annotated[Person | Vehicle | Cylinder, Field(discriminator="kind")]
@@ -199,8 +200,8 @@ class Ego(StageConfig):
     """The robot that carries the sensor. It follows the ground under its four wheels."""
 
     path: Path
-    wheelbase_m: Positive = 0.5
-    track_m: Positive = 0.45
+    wheelbase_m: Length = 0.5
+    track_m: Length = 0.45
 
 
 class Mount(StageConfig):
@@ -208,7 +209,7 @@ class Mount(StageConfig):
 
     x_m: float = 0.0
     y_m: float = 0.0
-    height_m: Positive = 0.8
+    height_m: Length = 0.8
     roll_deg: float = 0.0
     pitch_deg: float = 0.0
     yaw_deg: float = 0.0
@@ -222,8 +223,8 @@ class _Ranging(StageConfig):
     instantaneous: bool = Field(False, description="All rays at the stamp, as Gazebo's LiDAR; no per-point times.")
     range_sigma_m: NonNegative = 0.02
     dropout_probability: Share = 0.0
-    min_range_m: Positive = 0.3
-    max_range_m: Positive = 50.0
+    min_range_m: Length = 0.3
+    max_range_m: Length = 50.0
     mount: Mount = Mount()
     frame_id: str = "lidar"
 
@@ -284,7 +285,7 @@ class Odometry(StageConfig):
     """The pose source. All noise terms zero: exact. Otherwise a planar random walk in the robot's
     own frame, whose variance grows with distance and with turning."""
 
-    rate_hz: Annotated[float, Field(gt=0, le=1000)] = 50.0
+    rate_hz: Annotated[float, Field(gt=0, le=200)] = 50.0
     translation_sigma_m_per_sqrt_m: NonNegative = 0.0
     heading_sigma_rad_per_sqrt_m: NonNegative = 0.0
     heading_sigma_rad_per_sqrt_rad: NonNegative = 0.0
