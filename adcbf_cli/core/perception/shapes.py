@@ -164,7 +164,8 @@ def fit_yaw(xy_m: FloatArray, start: IntArray, edge_m: float) -> FloatArray:
     """Directions (g,) of the rectangle whose sides the points lie nearest to, modulo a quarter turn.
 
     The closeness criterion of Zhang et al. (Efficient L-shape fitting, IV 2017), to one degree: the
-    largest sum over the points of 1 / max(distance to the nearest side, edge_m).
+    largest sum over the points of 1 / (distance to the nearest side + edge_m). (The paper cuts off at
+    edge_m instead, which leaves several directions equal.)
     """
     yaw = np.zeros(len(start))
     for step in (np.arange(0.0, np.pi / 2 - 1e-9, COARSE_RAD), FINE_RAD * np.arange(-2.0, 2.5)):
@@ -183,7 +184,7 @@ def _closeness(xy_m: FloatArray, start: IntArray, yaw_rad: FloatArray, edge_m: f
         high = np.maximum.reduceat(along, start, axis=1)[:, owner]
         np.minimum(nearest, along - low, out=nearest)
         np.minimum(nearest, high - along, out=nearest)
-    closeness: FloatArray = np.add.reduceat(1.0 / np.maximum(nearest, edge_m), start, axis=1)
+    closeness: FloatArray = np.add.reduceat(1.0 / (nearest + edge_m), start, axis=1)
     return closeness
 
 
