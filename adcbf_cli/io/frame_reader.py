@@ -18,11 +18,14 @@ from adcbf_cli.core.frames import StampedTransform, invert
 from adcbf_cli.core.types import FloatArray, Frame, Notes, Scan
 from adcbf_cli.io.logs import open_scans
 from adcbf_cli.io.motion import knot_offsets_ns, move_points, place_points
-from adcbf_cli.io.placement import Placement
+from adcbf_cli.io.placement import EXTRAPOLATE_NS, Placement
 from adcbf_cli.io.selection import Selection
 
 QUEUE_SCANS = 20
-"""Scans that may wait for their poses (2 s at 10 Hz); then the oldest must do with what there is."""
+"""So many scans may always wait for their poses (2 s at 10 Hz). More may wait while they are younger than the widest
+gap between poses that is bridged, up to MOST_SCANS; then the oldest must do with what there is."""
+
+MOST_SCANS = 200
 
 FUSE_TOLERANCE_NS = 100_000_000
 """A second LiDAR's scan is fused when it is at most this far in time from the first one's."""
@@ -113,10 +116,17 @@ class FrameReader:
             waiting.partners[event.topic].append(event)
 
     def _release(self, waiting: _Waiting, ready: Callable[[], bool]) -> Iterator[Frame]:
-        while waiting.scans and (ready() or len(waiting.scans) > QUEUE_SCANS):
+        while waiting.scans and (ready() or self._overdue(waiting)):
             frame = self._frame(waiting.scans.popleft(), waiting)
             if frame is not None:
                 yield frame
+
+    def _overdue(self, waiting: _Waiting) -> bool:
+        """Whether the oldest scan has waited long enough."""
+        if len(waiting.scans) <= QUEUE_SCANS:
+            return False
+        waited_ns = waiting.scans[-1].stamp_ns - waiting.scans[0].stamp_ns
+        return len(waiting.scans) > MOST_SCANS or waited_ns > self._placement.max_gap_ns + EXTRAPOLATE_NS
 
     def _ready(self, waiting: _Waiting) -> bool:
         """Whether the oldest scan has its poses and its partners."""

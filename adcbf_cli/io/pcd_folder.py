@@ -68,8 +68,8 @@ class PcdScans:
         self._notes = notes
         self._topic = path.name
         self.stamps_ns, named = scan_times(self._files)
-        source, self._poses = self._find_poses(path, config.pose, named)
-        if not named and not (self._poses and len(self._poses) == len(self._files)):
+        source, self._poses, timed = self._find_poses(path, config.pose, named)
+        if not timed:
             notes.warn(f"the scans' file names hold no times: 10 Hz is assumed for {len(self._files)} scans")
         if source == "none" and config.pose is None:
             notes.warn("no pose file (poses.txt, *.tum) in or beside the folder: the sensor is taken to stand still")
@@ -91,23 +91,23 @@ class PcdScans:
         self.sensor_frames = {self._topic: SENSOR}
         self.expected_frames: int | None = len(self._files)
 
-    def _find_poses(self, path: Path, asked: str | None, named: bool) -> tuple[str, StampedPoses | None]:
-        """('poses file' or 'none', the poses); a TUM file's times may become the scans'."""
+    def _find_poses(self, path: Path, asked: str | None, named: bool) -> tuple[str, StampedPoses | None, bool]:
+        """('poses file' or 'none', the poses, whether the scans' times are known): a TUM file's times may become the
+        scans'."""
         from adcbf_cli.io.poses import read_kitti_poses, read_tum
 
-        if asked == "none":
-            return "none", None
         file = pose_file(path) if asked is None else Path(asked)
-        if file is None:
-            return "none", None
+        if asked == "none" or file is None:
+            return "none", None, named
         if not file.is_file():
             raise UsageError(f"--pose {asked}: there is no such file; for PCD scans it is a TUM or KITTI pose file")
         if _columns(file) == 12:
-            return "poses file", read_kitti_poses(file, self.stamps_ns)
+            return "poses file", read_kitti_poses(file, self.stamps_ns), named
         poses = read_tum(file)
         if not named and len(poses) == len(self._files):
             self.stamps_ns = poses.stamp_ns
-        return "poses file", poses
+            named = True
+        return "poses file", poses, named
 
     def events(self) -> Iterator[Scan | StampedTransform | tuple[StampedTransform, ...]]:
         if self._poses is not None:

@@ -227,7 +227,8 @@ class LogMaker:
             entries.append(("/odom", self.odometry((x, 0.0, 0.0), 0.0, at, ros1=ros1), at))
             cloud = [[5.0 - x - 0.5, 2.0, 0.0]] + [[1.0 + k, -3.0, 0.5] for k in range(padding)]
             entries.append(("/points", self.points(cloud, at, ros1=ros1), at + 1000))
-            entries.append(("/bump", self.new("vendor_msgs/msg/Bump", ros1, left=i % 256, note="x" * (i % 256)), at + 2000))
+            note = "x" * (i % 256)
+            entries.append(("/bump", self.new("vendor_msgs/msg/Bump", ros1, left=i % 256, note=note), at + 2000))
         return entries
 
 

@@ -13,7 +13,7 @@ from adcbf_cli.core.config import ReadConfig
 from adcbf_cli.core.errors import AdcbfError, UsageError
 from adcbf_cli.core.frames import transform_points
 from adcbf_cli.core.types import Frame, Notes
-from adcbf_cli.io.frame_reader import QUEUE_SCANS, FrameReader
+from adcbf_cli.io.frame_reader import MOST_SCANS, QUEUE_SCANS, FrameReader
 
 T0 = 1_700_000_000_000_000_000
 SECOND = 1_000_000_000
@@ -174,11 +174,13 @@ def test_memory_is_bounded_however_long_the_log(make: Any, tmp_path: Path) -> No
     assert "349 scans dropped" in notes.warnings[0]
 
 
-def test_the_queue_gives_up_on_poses_that_never_come(make: Any, tmp_path: Path) -> None:
-    entries = [e for e in make.drive(100) if e[0] != "/odom" or e[2] < T0 + SECOND]
+@pytest.mark.parametrize(("gap_s", "most"), [(1.0, QUEUE_SCANS), (5.0, 51), (1e3, MOST_SCANS)])
+def test_the_queue_gives_up_on_poses_that_never_come(make: Any, tmp_path: Path, gap_s: float, most: int) -> None:
+    entries = [e for e in make.drive(300) if e[0] != "/odom" or e[2] < T0 + SECOND]
     notes = Notes()
     taken: list[int] = []
-    with FrameReader(make.mcap(tmp_path / "log.mcap", entries), ReadConfig(), notes) as reader:
+    config = ReadConfig(max_pose_gap_s=gap_s)
+    with FrameReader(make.mcap(tmp_path / "log.mcap", entries), config, notes) as reader:
         inner = reader._frame
 
         def watched(scan: Any, waiting: Any) -> Any:
@@ -187,7 +189,7 @@ def test_the_queue_gives_up_on_poses_that_never_come(make: Any, tmp_path: Path) 
 
         reader._frame = watched  # type: ignore[method-assign]
         list(reader)
-    assert max(taken) <= QUEUE_SCANS
+    assert max(taken) == most
 
 
 def test_stamps_that_go_back_are_dropped_and_told(make: Any, tmp_path: Path) -> None:
