@@ -177,5 +177,7 @@ def _is_headline(name: str, with_truth: bool) -> bool:
     """Leaves out details by horizon, and what a better reference makes secondary."""
     if with_truth and name.startswith("later_seen"):
         return False
+    if name.endswith(("corrected_x_m", "corrected_y_m")) and not name.startswith("prediction"):
+        return False
     by_horizon = name.endswith("s") and name.rpartition(".")[2][:-1].isdigit()
     return not by_horizon or ".ade_m." in name or ".fde_m." in name

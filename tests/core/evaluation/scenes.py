@@ -35,8 +35,8 @@ class Labelled:
 
 @dataclass
 class Seen:
-    """One track and the cluster behind it, at `measured` or at the same place. `ahead(t0, t)` predicts xy for times t (k,) seen at t0;
-    by default it knows the future path."""
+    """One track and the cluster behind it, at `measured` or at the same place. `ahead(t0, t)` predicts xy
+    for times t (k,), seen at t0; by default it knows the future path."""
 
     path: Path
     static: bool = False

@@ -96,7 +96,7 @@ def test_bias_towards_the_sensor_is_named_and_removed() -> None:
 def test_what_the_filter_adds_is_told_from_what_clustering_gave() -> None:
     """Clusters sit 0.1 m to the left of a thing that comes straight on; the track lags 0.2 m behind them."""
     coming = line(9.0, 0.0, vx=-1.0)
-    seen = Seen(lambda t: coming(t) + [0.2, -0.1], measured=lambda t: coming(t) + [0.0, -0.1])
+    seen = Seen(line(9.2, -0.1, vx=-1.0), measured=line(9.0, -0.1, vx=-1.0))
     report = Run([Labelled(coming, yaw=lambda t: np.full_like(t, np.pi))], [seen]).score()
     assert value(report, "clustering.bias_body_x_m") == pytest.approx(0.0, abs=1e-9)
     assert value(report, "clustering.bias_body_y_m") == pytest.approx(0.1)
