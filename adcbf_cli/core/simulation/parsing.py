@@ -36,23 +36,24 @@ def parse_scenario(text: str, source: str = "scenario") -> Scenario:
 
 
 def _first_problem(error: ValidationError, data: Any) -> str:
-    """'movers.2.path.speed_mps: must be > 0', without the tags that pydantic puts into a union's path."""
+    """'movers.2.path.speed_mps: must be > 0', and how many more there are."""
     details = error.errors(include_url=False, include_context=True)
     first = details[0]
-    key = ".".join(str(part) for part in _path_in_file(first["loc"], data))
-    more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
-    message = _plain_message(first["type"], first["msg"], first.get("ctx", {}))
+    place = ".".join(str(part) for part in _path_in_file(first["loc"], data))
     if first["type"] == "extra_forbidden":
-        message = _unknown_key(str(first["loc"][-1]))
-    return f"{key}: {message}{more}" if key else f"{message}{more}"
+        message = _unknown_key(first["loc"])
+    else:
+        message = _plain_message(first["type"], first["msg"], first.get("ctx", {}))
+    more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
+    return f"{place}: {message}{more}" if place else f"{message}{more}"
 
 
 def _path_in_file(loc: Sequence[int | str], data: Any) -> Iterator[int | str]:
-    for index, part in enumerate(loc):
-        if isinstance(data, dict) and part not in data and part == data.get("kind") and index < len(loc) - 1:
+    """The keys that lead to the error in the file: pydantic's path without the `kind` that it puts
+    after a key whose value may be of several kinds."""
+    for part in loc:
+        if isinstance(data, dict) and part not in data and part == data.get("kind"):
             continue
-        if isinstance(data, dict) and part not in data and index == len(loc) - 1 and part == data.get("kind"):
-            return
         yield part
         try:
             data = data[part]
@@ -60,38 +61,70 @@ def _path_in_file(loc: Sequence[int | str], data: Any) -> Iterator[int | str]:
             data = None
 
 
+COMPARISONS = {
+    "greater_than": ("gt", ">"),
+    "greater_than_equal": ("ge", ">="),
+    "less_than": ("lt", "<"),
+    "less_than_equal": ("le", "<="),
+}
+
+
 def _plain_message(kind: str, message: str, context: dict[str, Any]) -> str:
-    comparisons = {"greater_than": ("gt", ">"), "greater_than_equal": ("ge", ">="), "less_than": ("lt", "<")}
-    comparisons["less_than_equal"] = ("le", "<=")
-    if kind in comparisons:
-        name, sign = comparisons[kind]
+    """pydantic's message in the words of somebody who writes YAML."""
+    if kind in COMPARISONS:
+        name, sign = COMPARISONS[kind]
         return f"must be {sign} {context[name]:g}"
-    if kind == "missing":
-        return "is missing"
-    if kind == "union_tag_not_found":
-        return "needs a 'kind'"
+    if kind in ("too_long", "too_short"):
+        bound, word = ("max_length", "most") if kind == "too_long" else ("min_length", "least")
+        return f"must have at {word} {context[bound]} values, not {context['actual_length']}"
+    known = {
+        "missing": "is missing",
+        "model_type": "must be a mapping of keys",
+        "model_attributes_type": "must be a mapping of keys",
+        "tuple_type": "must be a list",
+        "union_tag_not_found": "needs a 'kind'",
+        "invalid_key": "a key must be text",
+    }
     if kind == "union_tag_invalid":
         return f"kind {context['tag']!r} is none of {context['expected_tags']}"
-    return message.removeprefix("Value error, ").replace("Input should", "should")
+    return known.get(kind, message.removeprefix("Value error, ").replace("Input should", "should"))
 
 
-def _unknown_key(key: str) -> str:
-    near = difflib.get_close_matches(key, sorted(scenario_keys()), n=1)
+def _unknown_key(loc: Sequence[int | str]) -> str:
+    """What to say of an unknown key: the nearest one that its mapping does know."""
+    near = difflib.get_close_matches(str(loc[-1]), sorted(_keys_at(loc[:-1])), n=1)
     return f"unknown key; did you mean {near[0]!r}?" if near else "unknown key"
+
+
+def _keys_at(loc: Sequence[int | str]) -> set[str]:
+    """The keys of the model that pydantic's path leads to."""
+    models: list[type[BaseModel]] = [Scenario]
+    for part in loc:
+        fields = [model.model_fields[part] for model in models if part in model.model_fields]
+        if fields:
+            models = [inner for field in fields for inner in _models_in(field.annotation)]
+        elif isinstance(part, str):
+            models = [model for model in models if part in get_args(model.model_fields["kind"].annotation)]
+    return {key for model in models for key in model.model_fields}
+
+
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """The models inside an annotation, such as those of a tuple of a union."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in get_args(annotation):
+        yield from _models_in(inner)
 
 
 def scenario_keys() -> set[str]:
     """Every key that a scenario may hold, at any level."""
     keys: set[str] = set()
-    waiting: list[Any] = [Scenario]
-    seen: set[Any] = set()
+    waiting: list[type[BaseModel]] = [Scenario]
+    seen: set[type[BaseModel]] = set()
     while waiting:
-        kind = waiting.pop()
-        if isinstance(kind, type) and issubclass(kind, BaseModel):
-            if kind not in seen:
-                seen.add(kind)
-                keys.update(kind.model_fields)
-                waiting.extend(field.annotation for field in kind.model_fields.values())
-        else:
-            waiting.extend(get_args(kind))
+        model = waiting.pop()
+        if model not in seen:
+            seen.add(model)
+            keys.update(model.model_fields)
+            waiting.extend(inner for field in model.model_fields.values() for inner in _models_in(field.annotation))
     return keys
