@@ -151,7 +151,7 @@ def _provenance(
         with Path(truth_spec).open("rb") as handle:
             truth_sha256 = hashlib.file_digest(handle, "sha256").hexdigest()
     return {
-        "source": {"path": outcome.manifest.source.path, "sha256": outcome.manifest.source.sha256},
+        "source": {"name": Path(outcome.manifest.source.path).name, "sha256": outcome.manifest.source.sha256},
         "truth_sha256": truth_sha256,
         "thresholds": [str(t) for t in thresholds],
         "thresholds_missed": failures,

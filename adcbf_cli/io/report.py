@@ -78,7 +78,7 @@ def markdown(document: dict[str, Any], report: Report) -> str:
 
 def _basis(document: dict[str, Any], report: Report) -> list[str]:
     source, truth = document.get("source", {}), report.basis.get("truth")
-    lines = [f"Log: {source.get('path', 'unknown')}, sha256 `{source.get('sha256', 'unknown')}`.", ""]
+    lines = [f"Log: {source.get('name', 'unknown')}, sha256 `{source.get('sha256', 'unknown')}`.", ""]
     if truth is None:
         lines.append("No ground truth: predictions are held against where the same track was later seen.")
         return lines

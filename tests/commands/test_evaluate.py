@@ -103,6 +103,7 @@ def test_json_report_and_files_say_the_same(folder: Path, truth: Path) -> None:
     assert printed["schema_version"] == 1
     assert printed["basis"]["range_m"] == 20.0, "as far as perception looked"
     assert len(printed["truth_sha256"]) == 64
+    assert printed["source"] == {"name": "absent.mcap", "sha256": "source"}
     page = (folder / "report.md").read_text()
     assert "| `tracking.rmse_x_m` | 0.05 |" in page
     for name in metrics:
