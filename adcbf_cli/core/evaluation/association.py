@@ -138,6 +138,10 @@ class AssociationScore:
         if not variant:
             rows |= {
                 "det_re": (scores.det_re, f"detection recall TP / (TP + FN); {how}"),
+                "det_pr": (
+                    scores.det_pr if known else None,
+                    f"detection precision TP / (TP + FP); {how}; judged: {judged}{unknown}",
+                ),
                 "ass_a": (scores.ass_a, f"association accuracy; {how}"),
                 "loc_a": (scores.loc_a, f"mean similarity of matched pairs; {how}"),
             }
