@@ -48,17 +48,20 @@ def occupied_cells(xy_m: FloatArray, cell_m: float, origin_m: FloatArray | None 
     return Cells(mean, point_cell.astype(np.int64))
 
 
-def not_outlying(xy_m: FloatArray, neighbours: int, std_ratio: float) -> BoolArray:
+def not_outlying(cells_m: FloatArray, neighbours: int, std_ratio: float, cell_m: float) -> BoolArray:
     """Statistical outlier removal (Rusu et al., Towards 3D point cloud based object maps, 2008).
 
-    A point stays when the mean distance to its nearest `neighbours` is at most the cloud's mean of
-    that figure plus `std_ratio` standard deviations. With fewer points than that, all stay.
+    A cell (k, 2) stays when the mean distance to its nearest `neighbours` is at most the cloud's mean
+    of that figure plus `std_ratio` standard deviations. On a grid that figure varies little, and the
+    rule alone would cut off the ends of walls: so a cell stays also where the mean distance is at most
+    that of the last cell of a row of which every second one is empty, (neighbours + 1) * cell_m. With
+    no more cells than neighbours, all stay.
     """
     from scipy.spatial import cKDTree
 
-    if len(xy_m) <= neighbours:
-        return np.ones(len(xy_m), dtype=bool)
-    distance, _ = cKDTree(xy_m).query(xy_m, k=neighbours + 1)
+    if len(cells_m) <= neighbours:
+        return np.ones(len(cells_m), dtype=bool)
+    distance, _ = cKDTree(cells_m).query(cells_m, k=neighbours + 1)
     mean = distance[:, 1:].mean(axis=1)
-    keep: BoolArray = mean <= mean.mean() + std_ratio * mean.std()
+    keep: BoolArray = mean <= max(mean.mean() + std_ratio * mean.std(), (neighbours + 1) * cell_m)
     return keep

@@ -86,7 +86,7 @@ class Perception:
         if not config.smoothing or len(cells) == 0:
             return points, cells
         neighbours = min(config.smoothing_neighbours, self._min_cluster_size(planar) - 1)
-        keep = not_outlying(cells.mean_m, neighbours, config.smoothing_std_ratio)
+        keep = not_outlying(cells.mean_m, neighbours, config.smoothing_std_ratio, config.cell_m)
         number = np.cumsum(keep) - 1
         stays = keep[cells.point_cell]
         return points[stays], Cells(cells.mean_m[keep], number[cells.point_cell[stays]])

@@ -117,7 +117,8 @@ def test_a_hollow_corner_is_no_circle_around_the_robot() -> None:
 
 
 def test_height_and_rectangle_by_hand() -> None:
-    points = np.array([[2.0, 0.0, -0.4], [2.0, 1.0, 0.8], [2.5, 0.0, 0.1], [2.5, 1.0, 0.0]])
+    points = polyline((2.0, 0.0), (2.0, 1.0), (2.5, 1.0), (2.5, 0.0), (2.0, 0.0), step=0.05)
+    points[:, 2] = np.linspace(-0.4, 0.8, len(points))
     shapes, _, _ = obstacles(points)
     assert shapes.height_m[0] == pytest.approx(1.2)
     np.testing.assert_allclose(shapes.centre_m[0], [2.25, 0.5, 0.2])
@@ -132,7 +133,7 @@ def test_points_without_extent(points: np.ndarray) -> None:
     np.testing.assert_array_equal(group, 0)
     np.testing.assert_array_equal(origin, [NO_ID])
     np.testing.assert_allclose(shapes.radius_m, 0.0, atol=1e-12)
-    np.testing.assert_array_equal(shapes.centre_m[0], points[0])
+    np.testing.assert_allclose(shapes.centre_m[0], points[0], atol=1e-12)
     assert np.isfinite(shapes.yaw_rad).all()
 
 
