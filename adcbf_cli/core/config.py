@@ -130,7 +130,9 @@ class TrackingConfig(StageConfig):
     confirm_window: Annotated[int, Field(ge=1)] = Field(
         5, description="A track is confirmed by confirm_hits among its first confirm_window frames."
     )
-    max_coast_s: Positive = 1.0
+    max_coast_s: Positive = Field(
+        1.0, description="An unseen track goes on for this long, or as long as it had been followed, if that is less."
+    )
     static_window_s: Positive = Field(1.5, description="Time over which motion is looked for.")
     static_speed_mps: Positive = Field(0.1, description="Slower obstacles stand still.")
     structure_length_m: Positive = Field(

@@ -218,7 +218,9 @@ class Tracker:
         seen = bank.cluster_id != NO_ID
         tentative = bank.status == TrackStatus.TENTATIVE
         hopeless = tentative & (bank.frames - bank.hits > config.confirm_window - config.confirm_hits)
-        lost = ~seen & (self._now_s - bank.seen_s > config.max_coast_s)
+        # What was followed for a moment only is more likely clutter than an obstacle that hides.
+        longest_coast_s = np.minimum(config.max_coast_s, bank.seen_s - bank.born_s)
+        lost = ~seen & ~tentative & (self._now_s - bank.seen_s > longest_coast_s + 1e-9)
         bank.status[~tentative & ~seen] = TrackStatus.COASTING
         bank.status[(~tentative & seen) | (bank.hits >= config.confirm_hits)] = TrackStatus.CONFIRMED
         bank.status[~tentative & ~seen] = TrackStatus.COASTING

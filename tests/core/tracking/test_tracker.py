@@ -95,11 +95,18 @@ def test_uncertainty_grows_while_coasting(make_clusters: Make) -> None:
 
 
 def test_a_track_ends_once_and_is_then_gone(make_clusters: Make) -> None:
-    frames = [make_clusters(0.1 * k, [[5.0, 2.0, 0.3]] if k < 10 else np.zeros((0, 3))) for k in range(25)]
+    frames = [make_clusters(0.1 * k, [[5.0, 2.0, 0.3]] if k < 15 else np.zeros((0, 3))) for k in range(30)]
     status = [t.status.tolist() for t in run(frames)]
-    assert status[19] == [TrackStatus.COASTING], "unseen for exactly 1.0 s"
-    assert status[20] == [TrackStatus.ENDED]
-    assert status[21:] == [[]] * 4
+    assert status[24] == [TrackStatus.COASTING], "unseen for exactly 1.0 s"
+    assert status[25] == [TrackStatus.ENDED]
+    assert status[26:] == [[]] * 4
+
+
+def test_a_track_coasts_no_longer_than_it_was_followed(make_clusters: Make) -> None:
+    frames = [make_clusters(0.1 * k, [[5.0, 2.0, 0.3]] if k < 4 else np.zeros((0, 3))) for k in range(10)]
+    status = [t.status.tolist() for t in run(frames)]
+    assert status[6] == [TrackStatus.COASTING], "followed for 0.3 s, unseen for 0.3 s"
+    assert status[7] == [TrackStatus.ENDED]
 
 
 def test_a_flicker_is_never_confirmed(make_clusters: Make) -> None:
