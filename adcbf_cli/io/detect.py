@@ -64,8 +64,6 @@ RAW_PACKETS = {
     "rslidar_msgs/msg/rslidarPacket": "rslidar_sdk",
     "robosense_msgs/msg/RobosenseScan": "nebula",
     "robosense_msgs/msg/RobosensePacket": "nebula",
-    "livox_interfaces/msg/CustomMsg": "livox_ros2_driver",
-    "sick_scan/msg/RadarScan": "sick_scan_xd",
     "lslidar_msgs/msg/LslidarScan": "lslidar_driver",
     "lslidar_msgs/msg/LslidarPacket": "lslidar_driver",
 }

@@ -13,7 +13,7 @@ from adcbf_cli.io.detect import raw_packet_driver
 from adcbf_cli.io.log_base import Log, TopicInfo
 from adcbf_cli.io.logs import log_files, open_log
 from adcbf_cli.io.pcd import read_pcd
-from adcbf_cli.io.pcd_folder import PcdScans
+from adcbf_cli.io.pcd_folder import PcdScans, pcd_files
 from adcbf_cli.io.ros_messages import ODOMETRY
 from adcbf_cli.io.selection import (
     Selection,
@@ -25,7 +25,8 @@ from adcbf_cli.io.selection import (
 )
 
 _TF_MESSAGES = 20_000
-"""So many messages of /tf are looked at for the tree; a frame that comes later is not shown."""
+_TF_NS = 3_600_000_000_000
+"""So many messages of /tf, or an hour, are looked at for the tree; a frame that comes later is not shown."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ def inspect_log(path: Path, notes: Notes) -> LogFacts:
 
 def inspect_scans(path: Path, notes: Notes) -> LogFacts:
     """Look at a folder of PCD scans, or one scan. Raises AdcbfError."""
-    files = log_files(path)
+    files = pcd_files(path)
     scans = PcdScans(path, ReadConfig(), notes)
     first = read_pcd(files[0]).rows
     stamps = scans.stamps_ns
@@ -101,7 +102,7 @@ def inspect_scans(path: Path, notes: Notes) -> LogFacts:
     remark = f"{len(first)} points in the first scan; fields {', '.join(first.dtype.names or ())}"
     size = sum(file.stat().st_size for file in files)
     topics = (TopicFacts(info, scans.selection.sensor_frame, remark),)
-    return LogFacts(path, "PCD scans", files, size, topics, (), (), scans.selection, "")
+    return LogFacts(path, "PCD scans", log_files(path), size, topics, (), (), scans.selection, "")
 
 
 def _frames(log: Log) -> tuple[dict[str, str], tuple[tuple[str, str, str], ...], tuple[str, ...]]:
@@ -109,7 +110,7 @@ def _frames(log: Log) -> tuple[dict[str, str], tuple[tuple[str, str, str], ...],
     lidars, poses = lidar_candidates(log), pose_candidates(log)
     names = {item.topic: item.frame_id for item in lidars}
     names |= {i.topic: f"{i.frame_id} > {i.child_frame_id}" if i.child_frame_id else i.frame_id for i in poses}
-    tree = tf_tree(log, static_transforms(log, []), _TF_MESSAGES)
+    tree = tf_tree(log, static_transforms(log, []), _TF_MESSAGES, _TF_NS)
     edges = {(parent, child): "static" if static else "moving" for parent, child, static in tree.edges()}
     for item in poses:
         if item.msgtype == ODOMETRY and item.frame_id and item.child_frame_id:

@@ -17,7 +17,7 @@ import numpy as np
 
 from adcbf_cli.core.types import IntArray, Notes
 
-MAX_BLOCK_BYTES = 1 << 30
+MAX_BLOCK_BYTES = 1 << 29
 """No chunk may unpack to more than this, whatever its header claims."""
 
 

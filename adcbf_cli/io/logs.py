@@ -13,7 +13,7 @@ from adcbf_cli.io.bag_log import BagLog
 from adcbf_cli.io.log_base import Log
 from adcbf_cli.io.mcap_log import MAGIC as MCAP_MAGIC
 from adcbf_cli.io.mcap_log import McapLog
-from adcbf_cli.io.pcd_folder import PcdScans, pcd_files
+from adcbf_cli.io.pcd_folder import PcdScans, pcd_files, pose_file
 from adcbf_cli.io.pointcloud import ScanDecoder
 from adcbf_cli.io.ros_messages import Undecodable, transforms
 from adcbf_cli.io.rosbag2_log import Rosbag2Log, is_bag_folder, read_metadata, split_files
@@ -29,13 +29,18 @@ _NOT_A_LOG = "adcbf reads MCAP, ROS 1 bags, rosbag2 folders (.db3, .mcap) and fo
 
 
 def log_files(path: Path) -> tuple[Path, ...]:
-    """The files that make up a log, in a fixed order. Raises AdcbfError where there is no log."""
+    """The files that make up a log, in a fixed order; the pose file of PCD scans is the last one. Raises AdcbfError
+    where there is no log."""
     if path.is_dir():
         if is_bag_folder(path):
             return split_files(path, read_metadata(path))[0]
-        return pcd_files(path)
-    _kind(path)
-    return (path,)
+        return _with_poses(path, pcd_files(path))
+    return _with_poses(path, (path,)) if _kind(path) == "pcd" else (path,)
+
+
+def _with_poses(path: Path, scans: tuple[Path, ...]) -> tuple[Path, ...]:
+    poses = pose_file(path)
+    return scans if poses is None else (*scans, poses)
 
 
 def open_log(path: Path, notes: Notes) -> Log:

@@ -11,11 +11,12 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Collection, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -338,15 +339,23 @@ def unpack(compression: str, packed: memoryview, unpacked_bytes: int, cut: bool)
 def _unpack_zstd(packed: memoryview, limit: int) -> bytes:
     import zstandard
 
-    reader = zstandard.ZstdDecompressor(max_window_size=1 << 27).stream_reader(packed)
-    pieces: list[bytes] = []
-    got = 0
+    decompressor = zstandard.ZstdDecompressor(max_window_size=1 << 27)
     try:
-        while got < limit and (piece := reader.read(min(1 << 22, limit - got))):
-            pieces.append(piece)
-            got += len(piece)
+        if zstandard.frame_content_size(packed) == limit:
+            with suppress(zstandard.ZstdError):  # Cut off: what comes out in pieces is worth having.
+                whole: bytes = decompressor.decompress(packed)
+                return whole
+        return _in_pieces(decompressor.stream_reader(packed), limit)
     except zstandard.ZstdError as error:
         raise ValueError(f"zstd: {error}") from error
+
+
+def _in_pieces(reader: Any, limit: int) -> bytes:
+    pieces: list[bytes] = []
+    got = 0
+    while got < limit and (piece := reader.read(min(1 << 22, limit - got))):
+        pieces.append(piece)
+        got += len(piece)
     return b"".join(pieces)
 
 

@@ -84,7 +84,7 @@ class PcdScans:
         self.placement = Placement(kind, world, world, child, {SENSOR: child != SENSOR}, tf, gap_ns)
         reasons = (
             f"LiDAR: {len(self._files)} PCD scans",
-            f"pose {source} (--pose FILE or --pose none)",
+            f"pose: {source} (--pose FILE or --pose none)",
             f"world frame {world}, sensor frame {SENSOR} (--extrinsic 'base>{SENSOR}:x,y,z,roll,pitch,yaw')",
         )
         self.selection = Selection((self._topic,), source, world, SENSOR, reasons)

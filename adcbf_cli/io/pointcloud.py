@@ -104,13 +104,15 @@ def cloud_dtype(fields: Any, point_step: int, big_endian: bool) -> np.dtype[Any]
 
 def finite_points(columns: list[np.ndarray[Any, Any]]) -> tuple[FloatArray, BoolArray | None]:
     """x, y, z columns (n,) -> (m, 3) float64 points that are returns, and the (n,) mask, None where all are."""
-    points = np.empty((len(columns[0]), 3))
-    for axis, column in enumerate(columns):
-        points[:, axis] = column
+    x, y, z = (np.ascontiguousarray(column, dtype=np.float64) for column in columns)
     with np.errstate(over="ignore", invalid="ignore"):
-        square = np.einsum("ij,ij->i", points, points)
+        square = x * x
+        square += y * y
+        square += z * z
     kept = (square > 0.0) & (square < np.inf)
-    return (points, None) if kept.all() else (points[kept], kept)
+    if kept.all():
+        return np.stack([x, y, z], axis=1), None
+    return np.stack([x[kept], y[kept], z[kept]], axis=1), kept
 
 
 def laser_scan(scan: Any, message: Message) -> Scan:

@@ -16,7 +16,8 @@ from adcbf_cli.io.pointcloud import ScanDecoder
 from adcbf_cli.io.ros_messages import LIDAR_TYPES, POSE_TYPES, TF, Undecodable, transforms
 
 _TF_PEEK = 2000
-"""Messages of /tf that are looked at to learn the tree."""
+_TF_PEEK_NS = 5_000_000_000
+"""So many messages of /tf, or so long a beginning of the log, are looked at to learn the tree."""
 
 _WORLD_NAMES = ("odom", "map", "world", "earth")
 """Fixed frames, the smoothest first: odom does not jump when a localisation corrects itself."""
@@ -57,8 +58,8 @@ def plan_reading(log: Log, config: ReadConfig, notes: Notes) -> Plan:
     sensors = {topic: _sensor_frame(frames[topic], extrinsics) for topic in lidar.topics}
     sensor = sensors[lidar.topics[0]]
     statics = static_transforms(log, extrinsics)
-    tree = tf_tree(log, statics)
     poses = pose_candidates(log)
+    tree = statics if _statics_suffice(statics, poses, sensors, config) else tf_tree(log, statics)
     world_by_tf = _tf_world(tree, sensor, config.world_frame)
     pose = choose_pose(poses, config.pose, all_types, world_by_tf is not None)
     source = pose.topics[0]
@@ -71,8 +72,30 @@ def plan_reading(log: Log, config: ReadConfig, notes: Notes) -> Plan:
         f"world frame {placement.world}, sensor frame {sensor} (--world-frame, --extrinsic)",
     )
     selection = Selection(lidar.topics, source, placement.world, sensor, reasons)
-    tf_topics = tuple(c.topic for c in log.connections if c.msgtype in TF and not _is_static(c.topic))
+    tf_topics: tuple[str, ...] = ()
+    if _follows_tf(placement, tree):
+        tf_topics = tuple(c.topic for c in log.connections if c.msgtype in TF and not _is_static(c.topic))
     return Plan(selection, placement, sensors, tf_topics)
+
+
+def _statics_suffice(
+    statics: TfBuffer, poses: tuple[Candidate, ...], sensors: dict[str, str], config: ReadConfig
+) -> bool:
+    """Whether /tf need not be looked at: any pose topic that may be chosen reaches the sensors by static transforms."""
+    if config.pose == "tf" or config.world_frame is not None or not poses:
+        return False
+    return all(
+        pose.child_frame_id and statics.connected(pose.child_frame_id, frame)
+        for pose in poses
+        for frame in sensors.values()
+    )
+
+
+def _follows_tf(placement: Placement, tree: TfBuffer) -> bool:
+    """Whether moving transforms have a part in placing the sensors."""
+    if placement.source == "tf" or placement.world != placement.pose_frame:
+        return True
+    return any(linked and tree.moving(placement.child, frame) for frame, linked in placement.linked.items())
 
 
 def lidar_candidates(log: Log) -> tuple[Candidate, ...]:
@@ -137,11 +160,15 @@ def static_transforms(log: Log, extrinsics: list[Extrinsic]) -> TfBuffer:
     return buffer
 
 
-def tf_tree(log: Log, statics: TfBuffer, limit: int | None = _TF_PEEK) -> TfBuffer:
-    """The static tree joined with the moving edges that the first messages of /tf show (None: all of them)."""
+def tf_tree(log: Log, statics: TfBuffer, limit: int = _TF_PEEK, limit_ns: int = _TF_PEEK_NS) -> TfBuffer:
+    """The static tree joined with the moving edges that the beginning of /tf shows."""
     tree = statics.copy_static()
     topics = [c.topic for c in log.connections if c.msgtype in TF and not _is_static(c.topic)]
+    until_ns: int | None = None
     for message in islice(log.messages(topics), limit) if topics else ():
+        until_ns = message.log_ns + limit_ns if until_ns is None else until_ns
+        if message.log_ns > until_ns:
+            break
         try:
             for item in transforms(message):
                 tree.add(item)

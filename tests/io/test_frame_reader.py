@@ -141,6 +141,23 @@ def test_two_lidars_are_fused_with_their_motion(make: Any, tmp_path: Path) -> No
         np.testing.assert_allclose(in_world(frame), [[5, 1, 0], [-4, 2, 0]], atol=1e-6)
 
 
+def test_standing_lidars_are_fused_by_their_extrinsics(make: Any, tmp_path: Path) -> None:
+    entries = []
+    for i in range(4):
+        at = T0 + i * SECOND // 10
+        entries.append(("/left", make.laser([1.0], at, "left", angle_min=0.0), at))
+        entries.append(("/right", make.laser([1.0], at + 2000, "right", angle_min=0.0), at + 2000))
+    path = make.mcap(tmp_path / "log.mcap", entries)
+    frames, _, notes = read(path, lidar=("/left", "/right"))
+    assert any("--extrinsic 'left>right:" in warning for warning in notes.warnings)
+    np.testing.assert_allclose(frames[0].points_m, [[1, 0, 0], [1, 0, 0]], atol=1e-9)
+    mounts = ("base>left:0,1,0,0,0,0", "base>right:0,-1,0,0,0,1.5707963267948966")
+    frames, _, notes = read(path, lidar=("/left", "/right"), extrinsics=mounts, pose="none")
+    assert notes == Notes()
+    assert all(frame.planar for frame in frames)
+    np.testing.assert_allclose(frames[0].points_m, [[1, 0, 0], [0, -1, 0]], atol=1e-9)
+
+
 def test_a_partner_too_far_in_time_is_left_out_and_told(make: Any, tmp_path: Path) -> None:
     entries = [e for e in two_lidars(make, 20) if e[0] != "/rear/points" or e[2] < T0 + SECOND]
     frames, _, notes = read(make.mcap(tmp_path / "log.mcap", entries), lidar=("/front/points", "/rear/points"))
@@ -306,6 +323,23 @@ def test_real_scaled_cars(real_data: Callable[[str], Path]) -> None:
     assert len(frames) == 339
     assert len(notes.warnings) == 1
     assert "--extrinsic" in notes.warnings[0]
+
+
+def test_real_uncalibrated_motion_capture(real_data: Callable[[str], Path]) -> None:
+    """Empty frame ids; the sensor hangs on base_link by a static transform; the pose topic starts late."""
+    frames, reader, notes = read(real_data("datmo/two_robots.bag"), pose="robot_1")
+    assert (reader.selection.pose, reader.selection.world_frame) == ("/robot_1", "world")
+    assert len(frames) > 300
+    assert not notes.losses
+
+
+def test_real_three_lasers_as_one(real_data: Callable[[str], Path]) -> None:
+    path = real_data("leg_tracker/negative_2.bag")
+    with pytest.raises(UsageError, match="--lidar /left_scan"):
+        read(path)
+    frames, _, notes = read(path, lidar=("/left_scan", "/right_scan"))
+    assert len(frames) == 435
+    assert any("left_laser>right_laser" in warning for warning in notes.warnings)
 
 
 @pytest.mark.parametrize(
