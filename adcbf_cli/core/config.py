@@ -25,8 +25,8 @@ class ReadConfig(StageConfig):
     """Which topics to read, and how scans are placed in the world."""
 
     lidar: tuple[str, ...] = Field((), description="LiDAR topics; empty: detected. Two or more are fused.")
-    pose: str | None = Field(None, description="Pose topic, 'tf' or 'none'; null: detected.")
-    world_frame: str | None = Field(None, description="Fixed frame for poses from tf; null: detected.")
+    pose: str | None = Field(None, description="Pose topic, 'tf', 'none', or PCD scans' pose file; null: detected.")
+    world_frame: str | None = Field(None, description="Fixed frame of the results; null: the pose source's own.")
     extrinsics: tuple[str, ...] = Field(
         (), description="'parent>child:x,y,z,roll,pitch,yaw' (m, rad), for transforms the log lacks."
     )

@@ -303,10 +303,6 @@ class TfBuffer:
         for trajectory in self._moving.values():
             trajectory.prune(before_ns)
 
-    def __len__(self) -> int:
-        """How many samples of moving edges are held."""
-        return sum(len(trajectory) for trajectory in self._moving.values())
-
     def _edge(self, child: str, stamps: IntArray, max_gap_ns: int, extrapolate_ns: int) -> tuple[FloatArray, BoolArray]:
         if child in self._static:
             return np.tile(self._static[child], (len(stamps), 1, 1)), np.ones(len(stamps), dtype=np.bool_)

@@ -95,7 +95,7 @@ def inspect_scans(path: Path, notes: Notes) -> LogFacts:
     """Look at a folder of PCD scans, or one scan. Raises AdcbfError."""
     files = pcd_files(path)
     scans = PcdScans(path, ReadConfig(), notes)
-    first = read_pcd(files[0]).rows
+    first = read_pcd(files[0])
     stamps = scans.stamps_ns
     gap = max((int(late - early) for early, late in pairwise(stamps)), default=None)
     info = TopicInfo(scans.selection.lidar[0], "PCD", "pcd", len(files), int(stamps[0]), int(stamps[-1]), gap)

@@ -162,16 +162,5 @@ def merge_lazily(sources: Iterable[tuple[int, Callable[[], Iterator[Message]]]])
             heapq.heapreplace(active, (following.log_ns, number, following, iterator))
 
 
-def statistics_of(connections: Iterable[Connection], messages: Iterable[Message]) -> tuple[TopicInfo, ...]:
-    """Topic statistics by reading every message, for logs without an index."""
-    by_topic = {connection.topic: TopicStatistics(connection) for connection in connections}
-    for message in messages:
-        topic = message.connection.topic
-        if topic not in by_topic:
-            by_topic[topic] = TopicStatistics(message.connection)
-        by_topic[topic].add(np.array([message.log_ns], dtype=np.int64))
-    return sorted_infos(by_topic)
-
-
 def sorted_infos(by_topic: dict[str, TopicStatistics]) -> tuple[TopicInfo, ...]:
     return tuple(by_topic[name].info() for name in sorted(by_topic))

@@ -7,14 +7,12 @@ from __future__ import annotations
 
 import io
 import re
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from adcbf_cli.core.errors import AdcbfError
-from adcbf_cli.core.types import FloatArray
 
 _HEADER_BYTES = 16_384
 _MAX_BYTES = 1 << 30
@@ -22,16 +20,8 @@ _TYPES = {("F", 4): "<f4", ("F", 8): "<f8", ("I", 1): "i1", ("I", 2): "<i2", ("I
 _TYPES |= {("U", 1): "u1", ("U", 2): "<u2", ("U", 4): "<u4", ("U", 8): "<u8"}
 
 
-@dataclass(frozen=True)
-class PcdCloud:
-    """A PCD file's points as a structured array (n,), fields by name; viewpoint (7,): x y z qw qx qy qz."""
-
-    rows: np.ndarray[Any, Any]
-    viewpoint: FloatArray
-
-
-def read_pcd(path: Path) -> PcdCloud:
-    """Read a PCD file. Raises AdcbfError saying what is wrong with it."""
+def read_pcd(path: Path) -> np.ndarray[Any, Any]:
+    """Read a PCD file: its points as a structured array (n,), fields by name. Raises AdcbfError."""
     try:
         with path.open("rb") as file:
             raw = file.read(_MAX_BYTES + 1)
@@ -45,7 +35,7 @@ def read_pcd(path: Path) -> PcdCloud:
         raise AdcbfError(f"{path} is not a readable PCD file: {error}") from error
 
 
-def parse_pcd(raw: bytes) -> PcdCloud:
+def parse_pcd(raw: bytes) -> np.ndarray[Any, Any]:
     """Parse a PCD file's bytes; what follows the last point is ignored. Raises ValueError."""
     header, start = _header(raw)
     dtype, names = _dtype(header)
@@ -64,10 +54,7 @@ def parse_pcd(raw: bytes) -> PcdCloud:
         rows = _compressed(body, dtype, names, points)
     else:
         raise ValueError(f"DATA {storage} is not known")
-    viewpoint = np.array([float(word) for word in header.get("VIEWPOINT", ["0", "0", "0", "1", "0", "0", "0"])])
-    if viewpoint.shape != (7,) or not np.isfinite(viewpoint).all():
-        raise ValueError("its VIEWPOINT is not 7 numbers")
-    return PcdCloud(rows, viewpoint)
+    return rows
 
 
 def _header(raw: bytes) -> tuple[dict[str, list[str]], int]:

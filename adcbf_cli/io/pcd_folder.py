@@ -130,7 +130,7 @@ class PcdScans:
 
 def pcd_scan(file: Path, stamp_ns: int, topic: str, times: PointTimes) -> Scan:
     """One PCD file as a scan in the sensor's frame. Raises AdcbfError."""
-    rows = read_pcd(file).rows
+    rows = read_pcd(file)
     if any(rows.dtype[name].subdtype is not None for name in ("x", "y", "z")):
         raise AdcbfError(f"{file}: x, y and z must be single numbers")
     points, kept = finite_points([rows[name] for name in ("x", "y", "z")])

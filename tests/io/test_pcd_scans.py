@@ -63,7 +63,7 @@ def test_every_storage_gives_the_same_points(storage: str, count: int, tail: byt
     rows = table(count)
     cloud = parse_pcd(encode(rows, storage, tail))
     for name in ("x", "y", "z", "intensity", "ring"):
-        np.testing.assert_array_equal(cloud.rows[name], rows[name])
+        np.testing.assert_array_equal(cloud[name], rows[name])
 
 
 @pytest.mark.parametrize("compressed", [False, True])
@@ -76,7 +76,7 @@ def test_against_open3d(tmp_path: Path, compressed: bool, ascii_text: bool) -> N
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     path = tmp_path / "cloud.pcd"
     open3d.io.write_point_cloud(str(path), cloud, write_ascii=ascii_text, compressed=compressed)
-    rows = read_pcd(path).rows
+    rows = read_pcd(path)
     np.testing.assert_allclose(np.stack([rows[n] for n in "xyz"], axis=1), points, rtol=1e-6)
 
 
@@ -116,7 +116,7 @@ def test_damaged_files_are_one_error(data: st.DataObject) -> None:
         outcome = parse_pcd(bytes(raw))
     except ValueError:
         return
-    assert outcome.rows.dtype.names is not None
+    assert outcome.dtype.names is not None
 
 
 def test_claimed_sizes_allocate_nothing() -> None:
@@ -130,8 +130,8 @@ def test_claimed_sizes_allocate_nothing() -> None:
 
 def test_real_scan_with_bytes_after_its_last_point(real_data: Callable[[str], Path]) -> None:
     cloud = read_pcd(real_data("nebula/xt32/1673400678101968885.pcd"))
-    assert len(cloud.rows) > 10_000
-    assert {"x", "y", "z"} <= set(cloud.rows.dtype.names or ())
+    assert len(cloud) > 10_000
+    assert {"x", "y", "z"} <= set(cloud.dtype.names or ())
 
 
 # --- folders
