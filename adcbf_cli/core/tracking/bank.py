@@ -10,6 +10,9 @@ from adcbf_cli.core.tracking.stillness import Sightings
 from adcbf_cli.core.types import BoolArray, FloatArray, IntArray
 
 NOISE_SCALE_BOUNDS = (0.1**2, 5.0**2)
+CALMEST_VERTICAL_SCALE = 1.0
+"""The vertical noise is never taken as smaller than configured: the seen height jumps when a ring of
+the LiDAR comes to lie on the obstacle or leaves it, and calm scans before say nothing of that."""
 """How far a track's measurement noise may depart from the nominal variance."""
 NOISE_PRIOR_HITS = 10.0
 """The nominal noise counts as much as this many innovations."""
@@ -126,4 +129,6 @@ def adapted_noise(
     result = scale.copy()
     # One wild innovation must not undo what many have shown.
     result[:, :k] *= 1.0 + gain[:, None] * np.minimum(change, 9.0)
-    return np.clip(result, *NOISE_SCALE_BOUNDS)
+    result = np.clip(result, *NOISE_SCALE_BOUNDS)
+    result[:, 2] = np.maximum(result[:, 2], CALMEST_VERTICAL_SCALE)
+    return result
