@@ -32,6 +32,16 @@ class Cells:
         return len(self.mean_m)
 
 
+def cell_numbers(x_m: FloatArray, y_m: FloatArray, cell_m: float) -> tuple[IntArray, tuple[int, int]]:
+    """Each point's cell (n,) in a grid of square cells over all of them, counted row by row, and the
+    grid's shape. At least one point."""
+    column, row = np.floor(x_m / cell_m).astype(np.int64), np.floor(y_m / cell_m).astype(np.int64)
+    column -= column.min()
+    row -= row.min()
+    shape = int(column.max()) + 1, int(row.max()) + 1
+    return column * shape[1] + row, shape
+
+
 def occupied_cells(xy_m: FloatArray, cell_m: float, origin_m: FloatArray | None = None) -> Cells:
     """The occupied cells of points (n, 2), in order of their column and row.
 
@@ -40,10 +50,8 @@ def occupied_cells(xy_m: FloatArray, cell_m: float, origin_m: FloatArray | None 
     if len(xy_m) == 0:
         return Cells(np.zeros((0, 2)), np.zeros(0, dtype=np.int64))
     phase = np.zeros(2) if origin_m is None else np.mod(origin_m, cell_m)
-    index = np.floor((xy_m + phase) / cell_m).astype(np.int64)
-    index -= index.min(axis=0)
-    key = index[:, 0] * (int(index[:, 1].max()) + 1) + index[:, 1]
-    _, point_cell, count = np.unique(key, return_inverse=True, return_counts=True)
+    number, _ = cell_numbers(xy_m[:, 0] + phase[0], xy_m[:, 1] + phase[1], cell_m)
+    _, point_cell, count = np.unique(number, return_inverse=True, return_counts=True)
     mean = np.stack([np.bincount(point_cell, xy_m[:, axis]) / count for axis in range(2)], axis=1)
     return Cells(mean, point_cell.astype(np.int64))
 

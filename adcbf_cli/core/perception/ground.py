@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from adcbf_cli.core.config import PerceptionConfig
+from adcbf_cli.core.perception.grid import cell_numbers
 from adcbf_cli.core.types import BoolArray, FloatArray, Notes
 
 if TYPE_CHECKING:
@@ -54,6 +55,10 @@ HOLE_CELLS = 5
 PLANE_TOLERANCE_M = 0.15
 MAX_SENSOR_HEIGHT_M = 5.0
 MIN_PLANE_CELLS = 12
+
+PLANE_POINTS = 20_000
+"""Of denser scans every second, third ... point is enough for the coarse plane."""
+
 HYPOTHESES = 200
 MAP_CELL_M = 0.5
 ROOF_WINDOW_CELLS = 7
@@ -85,7 +90,7 @@ def coarse_plane(points_m: FloatArray, sensor_height_m: float | None) -> Plane |
     points_m: (n, 3), levelled sensor frame. sensor_height_m fixes the plane's height below the sensor
     to within half a metre. Deterministic: the hypotheses are drawn with a fixed seed.
     """
-    lows = _lowest_of_cells(points_m)
+    lows = _lowest_of_cells(points_m[:: max(1, len(points_m) // PLANE_POINTS)])
     if len(lows) < MIN_PLANE_CELLS:
         return None
     draw = np.random.default_rng(0).integers(0, len(lows), size=(HYPOTHESES, 3))
@@ -224,10 +229,7 @@ def _in_holes(xy_m: FloatArray, above_plane_m: FloatArray) -> BoolArray:
     low = above_plane_m < -DROP_M
     if not low.any():
         return low
-    index = np.floor(xy_m).astype(np.int64)
-    index -= index.min(axis=0)
-    shape = tuple(index.max(axis=0) + 1)
-    cell = index[:, 0] * shape[1] + index[:, 1]
+    cell, shape = cell_numbers(xy_m[:, 0], xy_m[:, 1], 1.0)
     floor = np.zeros(shape[0] * shape[1])
     np.minimum.at(floor, cell, above_plane_m)
     closed = grey_closing(floor.reshape(shape), size=(HOLE_CELLS, HOLE_CELLS)).ravel()
@@ -240,10 +242,7 @@ def _above_ground_map(xy_m: FloatArray, height_m: FloatArray, ground: np.ndarray
     nearest cell that has some. Ground points get -inf, unless they stand out of the map as a roof."""
     from scipy.ndimage import distance_transform_edt, grey_opening
 
-    index = np.floor(xy_m / MAP_CELL_M).astype(np.int64)
-    index -= index.min(axis=0)
-    shape = tuple(index.max(axis=0) + 1)
-    flat = index[:, 0] * shape[1] + index[:, 1]
+    flat, shape = cell_numbers(xy_m[:, 0], xy_m[:, 1], MAP_CELL_M)
     count = np.bincount(flat[ground], minlength=shape[0] * shape[1])
     total = np.bincount(flat[ground], height_m[ground], minlength=shape[0] * shape[1])
     level = (total / np.maximum(count, 1)).reshape(shape)

@@ -65,8 +65,8 @@ class Perception:
         surroundings = config.range_m if frame.planar else self._ground.fit_radius_m
         with self._timer("crop"):
             points = _within(frame.points_m, 2.0 * max(config.range_m, surroundings))
-            levelled = points @ level_rotation(frame.world_from_sensor).T
-            x, y = levelled[:, 0], levelled[:, 1]
+            levelled = level_rotation(frame.world_from_sensor) @ points.T
+            x, y = levelled[0], levelled[1]
             distance = np.sqrt(x * x + y * y)
             away = distance >= config.min_range_m
             inside = away & (np.abs(x) <= config.range_m) & (np.abs(y) <= config.range_m)
@@ -74,7 +74,7 @@ class Perception:
             with self._timer("ground"):
                 around = away & (distance <= surroundings)
                 height = np.full(len(points), -np.inf)
-                height[around] = self._ground.heights(levelled[around])
+                height[around] = self._ground.heights(levelled[:, around].T)
                 kept = inside & (height > -np.inf) & (height <= config.max_height_m)
         else:
             kept = inside
