@@ -1,8 +1,8 @@
 """Which topics to take: pure functions from what a log holds to a choice with its reasons.
 
 LiDAR: sensors before clouds that were computed from them, 3-D before 2-D, the names that drivers use before others.
-Pose: odometry before other pose topics before /tf. Where two are equally good nothing is guessed: the caller gets a
-UsageError that lists them with the flag for each.
+Pose: odometry before pose topics before /tf before a localiser's corrections. Where two are equally good nothing is
+guessed: the caller gets a UsageError that lists them with the flag for each.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from adcbf_cli.core.errors import AdcbfError, UsageError
-from adcbf_cli.io.ros_messages import LASER_SCAN, LIDAR_TYPES, ODOMETRY, POSE_TYPES
+from adcbf_cli.io.ros_messages import LASER_SCAN, LIDAR_TYPES, ODOMETRY, POSE_COVARIANCE, POSE_TYPES
 
 DRIVER_TOPICS = frozenset(
     {
@@ -199,25 +199,39 @@ def choose_pose(
             raise UsageError(f"--pose {asked}: {what}; possible are: {usable}")
         return Choice((topic,), "--pose")
     usable_topics = [item for item in candidates if not _is_command(item.topic)]
-    for tier, why in (
-        ([item for item in usable_topics if item.msgtype == ODOMETRY], "odometry topic"),
-        ([item for item in usable_topics if item.msgtype != ODOMETRY], "pose topic"),
-    ):
-        if not tier:
-            continue
-        named = [item for item in tier if item.topic.strip("/") == "odom"]
-        chosen = named if len(tier) > 1 and named else tier
-        if len(chosen) > 1:
-            listed = ", ".join(f"--pose {item.topic}" for item in sorted(chosen, key=lambda item: item.topic))
-            raise UsageError(
-                f"several {why}s could be the sensor's; choose one: {listed}, or --pose none (standing still)"
-            )
-        others = [item.topic for item in usable_topics if item is not chosen[0]]
-        rest = f"; not taken: {', '.join(others)}" if others else ""
-        return Choice((chosen[0].topic,), f"the {'only ' if len(tier) == 1 else ''}{why}{rest}")
+    tiers = {kind: [item for item in usable_topics if _pose_tier(item) == kind] for kind in _POSE_TIERS}
+    for kind, tier in tiers.items():
+        if kind == "localisation" and tf_moves:
+            break
+        if tier:
+            return _best_pose(kind, tier, usable_topics)
     if tf_moves:
         return Choice(("tf",), "no odometry or pose topic; /tf carries the sensor")
     return Choice(("none",), "the log has no odometry, pose topic or moving tf that reaches the sensor")
+
+
+_POSE_TIERS = ("odometry", "pose", "localisation")
+"""The best first; /tf comes before a localiser's sparse corrections (PoseWithCovarianceStamped)."""
+
+
+def _pose_tier(item: Candidate) -> str:
+    if item.msgtype == ODOMETRY:
+        return "odometry"
+    return "localisation" if item.msgtype == POSE_COVARIANCE else "pose"
+
+
+def _best_pose(kind: str, tier: list[Candidate], usable: list[Candidate]) -> Choice:
+    """The one topic of a tier, or the one with the plain name. Raises UsageError where there are several."""
+    named = [item for item in tier if item.topic.strip("/") == "odom"]
+    chosen = named if named else tier
+    if len(chosen) > 1:
+        listed = ", ".join(f"--pose {item.topic}" for item in sorted(chosen, key=lambda item: item.topic))
+        raise UsageError(
+            f"several {kind} topics could be the sensor's; choose one: {listed}, or --pose none (standing still)"
+        )
+    others = [item.topic for item in usable if item is not chosen[0]]
+    rest = f"; not taken: {', '.join(others)}" if others else ""
+    return Choice((chosen[0].topic,), f"the {'only ' if len(tier) == 1 else ''}{kind} topic{rest}")
 
 
 def _is_command(topic: str) -> bool:

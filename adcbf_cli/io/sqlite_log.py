@@ -58,6 +58,12 @@ class SqliteLog(Log):
             self._database.execute("SELECT id, topic_id, timestamp, data FROM messages LIMIT 0")
         except (sqlite3.DatabaseError, ValueError, TypeError) as error:
             raise AdcbfError(f"{self.path} is not a readable rosbag2 database ({printable(str(error))})") from error
+        journal = self.path.with_name(f"{self.path.name}-wal")
+        if journal.is_file() and journal.stat().st_size:
+            # Reading it would need write access: SQLite keeps an index of it beside the database.
+            self.lose(
+                f"{journal.name} holds messages that are not in the database yet; sqlite3 {self.path.name} vacuum"
+            )
         self.connections = tuple(dict.fromkeys(self._by_number.values()))
         self.container = "rosbag2 SQLite (.db3)"
         self._sorted_by_index = not self._cut_off and self._has_time_index()

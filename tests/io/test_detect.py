@@ -9,6 +9,7 @@ from adcbf_cli.io.detect import Candidate, choose_lidar, choose_pose
 
 CLOUD, SCAN = "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/LaserScan"
 ODOM, POSE = "nav_msgs/msg/Odometry", "geometry_msgs/msg/PoseStamped"
+LOCALISED = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 
 def lidars(*items: tuple[str, str, str]) -> tuple[Candidate, ...]:
@@ -73,6 +74,9 @@ def test_no_lidar_lists_what_there_is() -> None:
         ([], True, "tf"),
         ([], False, "none"),
         ([("/move_base/goal", POSE)], False, "none"),
+        ([("/amcl_pose", LOCALISED)], True, "tf"),
+        ([("/amcl_pose", LOCALISED)], False, "/amcl_pose"),
+        ([("/amcl_pose", LOCALISED), ("/slam_pose", POSE)], True, "/slam_pose"),
     ],
 )
 def test_the_best_pose(candidates: list[tuple[str, str]], tf_moves: bool, chosen: str) -> None:

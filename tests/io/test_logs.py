@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sqlite3
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -286,6 +287,15 @@ def test_a_truncated_database_gives_its_readable_part(make: Any, tmp_path: Path)
     assert notes.losses
 
 
+def test_a_write_ahead_log_beside_the_database_is_a_loss(make: Any, tmp_path: Path) -> None:
+    folder = write(make, tmp_path, "sqlite3-none")
+    path = next(folder.glob("*.db3"))
+    path.with_name(f"{path.name}-wal").write_bytes(b"frames")
+    got, notes = contents(folder)
+    assert len(got) == 61
+    assert "-wal" in notes.losses[0].what
+
+
 def test_a_database_that_is_no_recording(tmp_path: Path) -> None:
     path = tmp_path / "other.db3"
     with sqlite3.connect(path) as database:
@@ -344,3 +354,27 @@ def test_a_path_that_is_not_there(tmp_path: Path) -> None:
         log_files(tmp_path / "nowhere.mcap")
     with pytest.raises(AdcbfError, match=r"\.pcd"):
         log_files(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "datmo/two_robots.bag",
+        "leg_tracker/positive_1.bag",
+        "robot_localization/test2.bag",
+        "evo/nav2_turtlebot.mcap",
+        "neato/neato_c-mawn/person_follower_bag",
+        "tamu_people/example1",
+    ],
+)
+def test_real_logs_as_rosbags_reads_them(real_data: Callable[[str], Path], name: str) -> None:
+    from rosbags.rosbag1 import Reader as Reader1
+    from rosbags.rosbag2 import Reader as Reader2
+
+    path = real_data(name)
+    with (Reader1 if path.suffix == ".bag" else Reader2)(path) as reader:
+        wanted = [(connection.topic, log_ns, bytes(data)) for connection, log_ns, data in reader.messages()]
+    got, notes = contents(path)
+    assert sorted(got) == sorted(wanted)
+    assert [log_ns for _, log_ns, _ in got] == sorted(log_ns for _, log_ns, _ in wanted)
+    assert notes == Notes()
