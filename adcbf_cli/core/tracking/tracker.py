@@ -17,7 +17,7 @@ from adcbf_cli.core.timing import Timer, no_timer
 from adcbf_cli.core.tracking.association import assign
 from adcbf_cli.core.tracking.bank import TrackBank, adapted_noise, smoothed_size
 from adcbf_cli.core.tracking.filters import BatchFilter, Expectation
-from adcbf_cli.core.tracking.linalg import symmetrised
+from adcbf_cli.core.tracking.linalg import inverted, quadratic_form, symmetrised
 from adcbf_cli.core.tracking.measurement import noise_along_axes, nominal_variance
 from adcbf_cli.core.tracking.modes import ModeChain, combine, mix, reweighed
 from adcbf_cli.core.tracking.stillness import Sightings, still
@@ -129,9 +129,8 @@ class Tracker:
             return taken
         state, covariance = combine(bank.states, bank.covariances, bank.modes)
         expected = kalman.expect(state, covariance, clusters.world_from_sensor)
-        noise = self._noise(bank, kalman, state, clusters.world_from_sensor)
-        total = symmetrised(expected.covariance + noise)
-        rows, columns = self._associate(bank, kalman, clusters, expected, total)
+        noise = self._noise(bank, kalman, state, clusters.world_from_sensor, np.zeros(len(bank)))
+        rows, columns = self._associate(bank, kalman, clusters, expected, symmetrised(expected.covariance + noise))
         taken[columns] = True
         bank.frames += 1
         missed = np.ones(len(bank), dtype=np.bool_)
@@ -139,16 +138,18 @@ class Tracker:
         bank.misses = np.where(missed, bank.misses + 1, 0)
         if not len(rows):
             return taken
+        # A cluster smaller than the obstacle is part of it, a larger one holds something else too:
+        # either way its centre may be off by as much as the radii differ.
+        differs_m = np.zeros(len(bank))
+        differs_m[rows] = clusters.radius_m[columns] - bank.radius_m[rows]
+        noise = self._noise(bank, kalman, state, clusters.world_from_sensor, differs_m)[rows]
         measured = kalman.measurement.observe(clusters.centre_sensor_m[columns])
         self._correct(bank, kalman, rows, measured, noise, clusters.world_from_sensor)
         innovation = kalman.measurement.difference(measured, expected.mean[rows])
-        bank.nis[rows] = np.maximum(
-            np.einsum("ni,ni->n", innovation, np.linalg.solve(total[rows], innovation[:, :, None])[:, :, 0]), 0.0
-        )
+        total = symmetrised(expected.covariance[rows] + noise)
+        bank.nis[rows] = np.maximum(quadratic_form(innovation, inverted(total)), 0.0)
         if self._config.adaptive_noise:
-            bank.noise_scale[rows] = adapted_noise(
-                bank.noise_scale[rows], bank.hits[rows], innovation, total[rows], noise[rows]
-            )
+            bank.noise_scale[rows] = adapted_noise(bank.noise_scale[rows], bank.hits[rows], innovation, total, noise)
         is_piece, spread_m = wall_pieces(clusters, self._config.structure_length_m)
         bank.is_structure[rows], bank.spread_m[rows] = is_piece[columns], spread_m[columns]
         bank.radius_m[rows] = smoothed_size(bank.radius_m[rows], clusters.radius_m[columns])
@@ -198,19 +199,26 @@ class Tracker:
             covariances,
             kalman.expect(states, covariances, world_from_sensor),
             np.repeat(measured, m, axis=0),
-            np.repeat(noise[rows], m, axis=0),
+            np.repeat(noise, m, axis=0),
         )
         bank.states[rows] = corrected.state.reshape(n, m, d)
         bank.covariances[rows] = corrected.covariance.reshape(n, m, d, d)
         bank.modes[rows] = reweighed(bank.modes[rows], corrected.log_likelihood.reshape(n, m))
 
     def _noise(
-        self, bank: TrackBank, kalman: BatchFilter, state: FloatArray, world_from_sensor: FloatArray
+        self,
+        bank: TrackBank,
+        kalman: BatchFilter,
+        state: FloatArray,
+        world_from_sensor: FloatArray,
+        differs_m: FloatArray,
     ) -> FloatArray:
-        """(n, k, k) measurement noise of each track, where it is expected to be seen."""
+        """(n, k, k) measurement noise of each track, where it is expected to be seen, with one more
+        standard deviation `differs_m` (n,) along the line of sight and across it."""
         rotation = world_from_sensor[:3, :3]
         points = (state[:, :3] - world_from_sensor[:3, 3]) @ rotation
         variance = bank.noise_scale * nominal_variance(points, bank.radius_m, bank.height_m, self._config)
+        variance[:, :2] += differs_m[:, None] ** 2
         return kalman.measurement.noise(points, variance, bank.spread_m @ rotation)
 
     def _end_and_confirm(self, bank: TrackBank) -> None:

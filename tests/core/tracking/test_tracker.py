@@ -138,6 +138,24 @@ def test_a_person_who_merges_with_a_wall_is_not_taken_for_it(make_clusters: Make
     assert tracks.state[0, :2] == pytest.approx([5.9, 3.0], abs=0.05)
 
 
+def test_a_partial_view_hardly_moves_the_track(make_clusters: Make) -> None:
+    """A car of 2 m radius is partly hidden for 0.5 s: the centre of what is left lies 0.5 m off."""
+    errors = {}
+    for partial_radius in (1.5, 2.0):
+        tracker = Tracker(TrackingConfig(), Notes())
+        worst = 0.0
+        for k in range(40):
+            hidden = 25 <= k < 30
+            x = 10 + 0.4 * k
+            centre = [x + 0.5 * hidden, 3.0, 0.5]
+            tracks = tracker(make_clusters(0.1 * k, [centre], partial_radius if hidden else 2.0))
+            row = tracks.track_id == 0
+            worst = max(worst, abs(float(tracks.state[row, 0][0]) - x)) if k >= 20 else 0.0
+        errors[partial_radius] = worst
+    assert errors[1.5] < 0.25
+    assert errors[1.5] < 0.6 * errors[2.0], "the size tells that the view is partial"
+
+
 def test_stop_and_go(make_clusters: Make) -> None:
     """Walks, stands for 3 s (recognised as standing), walks on (recognised within a second)."""
     tracker = Tracker(TrackingConfig(), Notes())
