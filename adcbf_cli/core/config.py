@@ -70,6 +70,9 @@ class PerceptionConfig(StageConfig):
         0.3, description="HDBSCAN: nearer clusters stay one, as two legs or a car's parts do."
     )
     max_gap_m: Positive = Field(1.0, description="HDBSCAN: an obstacle never spans a wider gap.")
+    min_probability: Annotated[float, Field(ge=0, le=1)] = Field(
+        0.3, description="HDBSCAN: members held more loosely, and beyond min_gap_m, are strays: noise."
+    )
     dbscan_eps_m: Positive = 0.5
     centre: Literal["auto", "circle", "box", "mean"] = Field(
         "auto", description="Obstacle centre: fitted circle, fitted rectangle, mean, or circle where one fits else box."

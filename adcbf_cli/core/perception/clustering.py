@@ -17,6 +17,10 @@ the tests check against scikit-learn.
 `min_gap_m` is the cluster selection epsilon of Malzer and Baum (2020): clusters that separate only
 at a smaller distance are left together, since LiDAR density varies across one object. Between the
 two gaps, density decides.
+
+A few points beyond `min_gap_m`, too few for a cluster of their own, still belong to the cluster next
+to them by the definition, with a low probability, and one of them can double an obstacle's radius.
+`min_probability` makes them the noise that they would be on their own.
 """
 
 from __future__ import annotations
@@ -49,10 +53,17 @@ class Grouping:
 
 
 def hdbscan(
-    points_m: FloatArray, *, min_cluster_size: int, min_samples: int, min_gap_m: float, max_gap_m: float
+    points_m: FloatArray,
+    *,
+    min_cluster_size: int,
+    min_samples: int,
+    min_gap_m: float,
+    max_gap_m: float,
+    min_probability: float = 0.0,
 ) -> Grouping:
     """Cluster points (n, d) by the hierarchy of densities within `max_gap_m`; see the module's text.
 
+    Members with a probability below `min_probability` that join only beyond `min_gap_m` become noise.
     Raises AdcbfError where the points are so dense that the graph would not fit in memory.
     """
     if len(points_m) < max(min_cluster_size, min_samples):
@@ -62,7 +73,10 @@ def hdbscan(
     selected = _most_stable(tree)
     if min_gap_m > 0:
         selected = _lift_to_gap(tree, selected, min_gap_m)
-    return _label(tree, selected)
+    grouping = _label(tree, selected)
+    left_at = np.array(tree.point_lambda)
+    stray = (grouping.probability < min_probability) & (left_at * max(min_gap_m, SMALLEST_DISTANCE_M) < 1.0)
+    return Grouping(np.where(stray, NO_ID, grouping.label), np.where(stray, 0.0, grouping.probability))
 
 
 def dbscan(points_m: FloatArray, *, eps_m: float, min_samples: int, min_cluster_size: int) -> Grouping:

@@ -105,6 +105,7 @@ class Perception:
             min_samples=config.min_samples,
             min_gap_m=config.min_gap_m,
             max_gap_m=config.max_gap_m,
+            min_probability=config.min_probability,
         )
 
     def _assemble(

@@ -168,6 +168,17 @@ def test_gaps() -> None:
         assert hdbscan(points, **settings_).label.max() + 1 == clusters
 
 
+def test_a_stray_beside_a_dense_obstacle_is_noise_and_one_within_the_lower_gap_is_not() -> None:
+    row = np.column_stack([np.arange(10) * 0.1, np.zeros(10)])
+    points = np.concatenate([row, np.array([[1.6, 0.0], [0.5, 0.25]])])
+    settings_ = {"min_cluster_size": 5, "min_samples": 2, "min_gap_m": 0.3, "max_gap_m": 1.0}
+    assert (hdbscan(points, **settings_).label == 0).all()
+    grouping = hdbscan(points, **settings_, min_probability=0.3)
+    np.testing.assert_array_equal(grouping.label, [0] * 10 + [NO_ID, 0])
+    assert grouping.probability[10] == 0.0
+    assert (hdbscan(3 * points, **{**settings_, "max_gap_m": 3.0}, min_probability=0.1).label == 0).all()
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_dbscan_equals_scikit_learn(seed: int) -> None:
     points = blobs(seed)
