@@ -18,8 +18,13 @@ from adcbf_cli.core.prediction.propagation import Horizon, Propagator
 from adcbf_cli.core.timing import Timer, no_timer
 from adcbf_cli.core.types import BoolArray, FloatArray, Notes, Predictions, Tracks, TrackStatus
 
-CREEP_SIGMAS = 3.0
-"""A standing track may creep: the static speed is taken as this many sigmas of its speed."""
+VIEW_DRIFT_SHARE = 0.5
+"""Of the farthest that a seen surface's centre may wander while the line of sight turns (its radius
+times the angle, see tracking/stillness.py): one standard deviation."""
+MAX_VIEW_TURN_RAD = 2.0
+CREEP_BOUNDS = (1 / 3, 3.0)
+"""The speed that a standing track may have after all, one sigma: what its filter believes, within
+these multiples of the static speed."""
 LEARNING_WINDOW = 100_000
 """Residuals a step that a calibration is learned from, at most: the newest."""
 
@@ -41,6 +46,8 @@ class Predictor:
         self._notes = notes
         self._timer = timer
         self._propagators: dict[str, Propagator] = {}
+        self._ego: tuple[int, FloatArray] | None = None
+        self._ego_speed_mps = 0.0
         self._fixed = _radii_from_file(config, calibration) if config.calibration == "file" else None
         self.residuals: ResidualCollector | None = None
         if config.calibration == "past":
@@ -53,6 +60,7 @@ class Predictor:
             rows = (tracks.status == TrackStatus.CONFIRMED) | (tracks.status == TrackStatus.COASTING)
             if self.residuals is not None:
                 self.residuals.observe(tracks)
+            self._follow_ego(tracks)
             horizon = self._horizon(propagator, tracks, rows)
             is_static = tracks.is_static[rows]
             predictions = Predictions(
@@ -81,7 +89,7 @@ class Predictor:
     def _horizon(self, propagator: Propagator, tracks: Tracks, rows: BoolArray) -> Horizon:
         manoeuvre = None if tracks.manoeuvre is None else tracks.manoeuvre[rows]
         moving = propagator(tracks.state[rows], tracks.covariance[rows], manoeuvre)
-        standing = self._standing(tracks.state[rows], tracks.covariance[rows])
+        standing = self._standing(tracks, rows)
         still = tracks.is_static[rows]
         return Horizon(
             np.where(still[:, None, None], standing.position_m, moving.position_m),
@@ -89,15 +97,28 @@ class Predictor:
             np.where(still[:, None, None, None], standing.covariance_m2, moving.covariance_m2),
         )
 
-    def _standing(self, state: FloatArray, covariance: FloatArray) -> Horizon:
-        """Standing obstacles: the same place, no velocity, and what creep the test cannot exclude."""
-        n, steps = len(state), self._config.steps
+    def _follow_ego(self, tracks: Tracks) -> None:
+        """Keeps the sensor's speed, from this frame's pose and the last one's."""
+        now = (tracks.stamp_ns, tracks.world_from_sensor[:3, 3])
+        if self._ego is not None and now[0] > self._ego[0]:
+            self._ego_speed_mps = float(np.linalg.norm(now[1] - self._ego[1]) * 1e9 / (now[0] - self._ego[0]))
+        self._ego = now
+
+    def _standing(self, tracks: Tracks, rows: BoolArray) -> Horizon:
+        """Standing obstacles: the same place and no velocity. Uncertain is the creep that the filter,
+        which does not know of the standing, believes in, and how far the seen centre wanders as the
+        ego passes by; both are bounded."""
+        state, covariance, steps = tracks.state[rows], tracks.covariance[rows], self._config.steps
         time_s = self._config.step_s * np.arange(1, steps + 1)
-        creep = (self._tracking.static_speed_mps / CREEP_SIGMAS * time_s) ** 2
+        lowest, highest = (factor * self._tracking.static_speed_mps for factor in CREEP_BOUNDS)
+        creep = np.clip(np.linalg.norm(state[:, 3:5], axis=1), lowest, highest)[:, None] * time_s
+        range_m = np.linalg.norm(state[:, :3] - tracks.world_from_sensor[:3, 3], axis=1)
+        turn = self._ego_speed_mps * time_s / np.maximum(range_m, tracks.radius_m[rows] + 0.1)[:, None]
+        wander = VIEW_DRIFT_SHARE * tracks.radius_m[rows][:, None] * np.minimum(turn, MAX_VIEW_TURN_RAD)
         return Horizon(
             np.repeat(state[:, None, :3], steps, axis=1),
-            np.zeros((n, steps, 2)),
-            covariance[:, None, :2, :2] + creep[:, None, None] * np.eye(2),
+            np.zeros((len(state), steps, 2)),
+            covariance[:, None, :2, :2] + (creep**2 + wander**2)[:, :, None, None] * np.eye(2),
         )
 
     def _conformal(self, is_static: BoolArray) -> FloatArray:

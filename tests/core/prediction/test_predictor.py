@@ -38,15 +38,29 @@ def test_confirmed_and_coasting_tracks_are_predicted(make_tracks: Make) -> None:
         assert np.isfinite(array).all()
 
 
-def test_standing_tracks_stay_and_stay_certain(make_tracks: Make) -> None:
+def test_standing_tracks_stay(make_tracks: Make) -> None:
     states = np.array([[5.0, 2, 0, 0.3, 0.1, 0], [5.0, 2, 0, 0.3, 0.1, 0]])
     predictions = predict(make_tracks(0.0, states, is_static=[True, False]))
     assert predictions.is_static.tolist() == [True, False]
     assert predictions.position_m[0] == pytest.approx(np.tile([5.0, 2, 0], (30, 1)))
     assert not predictions.velocity_mps[0].any()
     assert predictions.position_m[1, -1, :2] == pytest.approx([5.9, 2.3])
-    assert predictions.covariance_m2[0, -1] == pytest.approx((0.01 + (0.1 / 3 * 3.0) ** 2) * np.eye(2))
-    assert predictions.sigma_radius_m[0, -1] < 0.5 * predictions.sigma_radius_m[1, -1]
+    assert predictions.sigma_radius_m[0, -1] < predictions.sigma_radius_m[1, -1]
+
+
+@pytest.mark.parametrize(("filtered", "creep"), [(0.0, 0.1 / 3), (0.2, 0.2), (5.0, 0.3)])
+def test_standing_is_as_uncertain_as_the_filter_bounded(make_tracks: Make, filtered: float, creep: float) -> None:
+    predictions = predict(make_tracks(0.0, [[5.0, 2, 0, 0, filtered, 0]], is_static=True))
+    assert predictions.covariance_m2[0, -1] == pytest.approx((0.01 + (creep * 3.0) ** 2) * np.eye(2))
+
+
+def test_standing_tracks_wander_as_the_ego_passes(make_tracks: Make) -> None:
+    """Ego at 2 m/s, 5 m away, radius 0.3 m: after 1 s the view has turned by 0.4 rad, so 0.06 m more."""
+    predictor = Predictor(PredictionConfig(), TRACKING, Notes())
+    frames = [make_tracks(0.1 * k, [[0.2 * k, 5.0, 0, 0, 0, 0]], is_static=True) for k in range(2)]
+    still = predictor(frames[0]).covariance_m2[0, 9, 0, 0]
+    frames[1].world_from_sensor[0, 3] = 0.2
+    assert predictor(frames[1]).covariance_m2[0, 9, 0, 0] == pytest.approx(still + 0.06**2)
 
 
 def test_a_manoeuvring_track_is_less_certain(make_tracks: Make) -> None:
