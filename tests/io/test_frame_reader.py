@@ -14,6 +14,7 @@ from adcbf_cli.core.errors import AdcbfError, UsageError
 from adcbf_cli.core.frames import transform_points
 from adcbf_cli.core.types import Frame, Notes
 from adcbf_cli.io.frame_reader import MOST_SCANS, QUEUE_SCANS, FrameReader
+from adcbf_cli.io.placement import parse_extrinsic
 
 T0 = 1_700_000_000_000_000_000
 SECOND = 1_000_000_000
@@ -289,6 +290,17 @@ def test_an_empty_scan_is_an_empty_frame(make: Any, tmp_path: Path) -> None:
     entries = [("/points", make.cloud(rows, T0), T0), ("/points", make.points([[1, 2, 3]], T0 + SECOND), T0 + SECOND)]
     frames, _, _ = read(make.mcap(tmp_path / "log.mcap", entries))
     assert [frame.points_m.shape for frame in frames] == [(0, 3), (1, 3)]
+
+
+def test_roll_pitch_yaw_turn_about_the_fixed_axes_in_this_order() -> None:
+    """R = Rz(yaw) Ry(pitch) Rx(roll), as in ROS: rolling y up to z, then pitching z to x, then yawing x to y."""
+    quarter = np.pi / 2
+    extrinsic = parse_extrinsic(f"/base>lidar:1,2,3,{quarter},{quarter},{quarter}")
+    assert (extrinsic.parent, extrinsic.child) == ("base", "lidar")
+    np.testing.assert_allclose(extrinsic.parent_from_child @ [0, 1, 0, 1], [1, 3, 3, 1], atol=1e-12)
+    roll_then_yaw = parse_extrinsic(f"a>b:0,0,0,{quarter},0,{quarter}").parent_from_child
+    np.testing.assert_allclose(roll_then_yaw @ [0, 1, 0, 1], [0, 0, 1, 1], atol=1e-12)
+    np.testing.assert_allclose(roll_then_yaw @ [1, 0, 0, 1], [0, 1, 0, 1], atol=1e-12)
 
 
 @pytest.mark.parametrize(

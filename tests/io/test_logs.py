@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
@@ -220,6 +221,21 @@ def test_a_damaged_place_costs_the_messages_around_it_only(make: Any, tmp_path: 
         assert got[-1] == whole[-1]
         assert notes.losses or costs[-1] <= 1, "a loss must be told, but for bytes inside an unchecked message"
     assert 0 < max(costs) < len(whole) / 2
+
+
+def test_a_bag_goes_on_after_a_chunk_whose_head_is_damaged(make: Any, tmp_path: Path) -> None:
+    path = write(make, tmp_path, "bag-none")
+    whole, _ = contents(path)
+    raw = bytearray(path.read_bytes())
+    heads = [place.start() for place in re.finditer(rb"compression=none", raw)]
+    assert len(heads) > 3
+    raw[heads[1] - 40 : heads[1] + 16] = b"\xff" * 56
+    path.write_bytes(bytes(raw))
+    got, notes = contents(path)
+    assert len(whole) / 2 < len(got) < len(whole)
+    assert set(got) < set(whole)
+    assert (got[0], got[-1]) == (whole[0], whole[-1])
+    assert "is damaged from byte" in notes.losses[0].what
 
 
 @given(st.binary(max_size=300), st.sampled_from([b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n", b"SQLite format 3\0", b""]))
