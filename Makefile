@@ -37,5 +37,8 @@ sample: $(VENV)/.installed ## Remake the sample log and its ground truth, byte f
 	scripts/open3d_libraries.sh $(BIN)/python
 	$(BIN)/adcbf simulate sample_data/scenario.yaml --output sample_data/sample.mcap --truth sample_data/truth.csv
 
+bench: $(VENV)/.installed ## Measure speed and memory, beside a plain pipeline of the same libraries
+	$(BIN)/python benchmarks
+
 clean: ## Remove what the other targets made
 	rm -rf $(VENV) sample.adcbf build *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
