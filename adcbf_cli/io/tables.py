@@ -29,6 +29,9 @@ from adcbf_cli.io.atomic import atomic_path
 SCHEMA_VERSION = 1
 METADATA_KEY = b"adcbf"
 ROWS_PER_GROUP = 50_000
+PIECES_HELD = 200
+"""So many frames' rows wait as tables of their own; then they become one. A table of one row takes a
+hundred times its numbers' memory."""
 
 _FRAME_KEYS = [("timestamp_ns", pa.int64()), ("frame_index", pa.int32())]
 _POSE = ["sensor_x_m", "sensor_y_m", "sensor_z_m", "sensor_qx", "sensor_qy", "sensor_qz", "sensor_qw"]
@@ -130,6 +133,8 @@ class TableWriter:
         self._pending_rows += len(table)
         if self._pending_rows >= ROWS_PER_GROUP:
             self._flush()
+        elif len(self._pending) >= PIECES_HELD:
+            self._pending = [pa.concat_tables(self._pending).combine_chunks()]
 
     def _flush(self) -> None:
         if self._pending:

@@ -138,3 +138,15 @@ def test_the_same_records_give_the_same_bytes(tmp_path: Path) -> None:
         write_run(tmp_path / name, [3, 0, 2])
     for table in ("frames", "clusters", "tracks", "predictions"):
         assert (tmp_path / "a" / f"{table}.parquet").read_bytes() == (tmp_path / "b" / f"{table}.parquet").read_bytes()
+
+
+def test_rows_that_wait_take_the_memory_of_their_numbers_and_little_more(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    records = [make_clusters(i, 1, rng) for i in range(4 * tables.PIECES_HELD + 3)]
+    with TableWriter(tmp_path / "frames.parquet", "frames", {}) as writer:
+        for record in records:
+            writer.write(tables.frame_columns(record))
+            assert len(writer._pending) <= tables.PIECES_HELD
+    read = pq.ParquetFile(tmp_path / "frames.parquet")
+    assert read.num_row_groups == 1
+    assert read.read()["frame_index"].to_pylist() == list(range(len(records)))
