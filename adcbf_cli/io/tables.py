@@ -114,14 +114,12 @@ class TableWriter:
 
     def __enter__(self) -> TableWriter:
         self._target = atomic_path(self._path)
-        plain = [f.name for f in self._schema if pa.types.is_float64(f.type)]
         dictionary = [f.name for f in self._schema if pa.types.is_string(f.type)]
         self._writer = pq.ParquetWriter(
             self._target.__enter__(),
             self._schema,
             compression="zstd",
             use_dictionary=dictionary,
-            use_byte_stream_split=plain,
         )
         return self
 
