@@ -161,7 +161,8 @@ def _spanning_forest(
         weight = np.maximum(weight, np.maximum(_distance(points_m, first, second), SMALLEST_DISTANCE_M))
         near = weight <= reach_m
         data = np.concatenate([kept.data, weight[near]])
-        ends = (np.concatenate([kept.row, first[near]]), np.concatenate([kept.col, second[near]]))
+        rows, columns = np.concatenate([kept.row, first[near]]), np.concatenate([kept.col, second[near]])
+        ends = (rows.astype(np.int32), columns.astype(np.int32))  # older scipy takes no wider ones
         kept = minimum_spanning_tree(csr_array((data, ends), shape=(n, n))).tocoo()
         _, component = connected_components(kept, directed=False)
     first, second, weight = kept.row, kept.col, kept.data
