@@ -24,6 +24,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -170,6 +171,13 @@ class GroundRemoval:
         self._height_m = config.sensor_height_m
         self._plane: Plane | None = None
         self._patchwork: patchworkpp | None = None
+        self._method = config.ground
+        if self._method == "patchwork" and find_spec("pypatchworkpp") is None:
+            notes.warn(
+                "pypatchworkpp has no package for this Python: ground is taken for a plane, which holds less "
+                "well on rough ground (perception.ground=plane)"
+            )
+            self._method = "plane"
 
     @property
     def fit_radius_m(self) -> float:
@@ -181,7 +189,7 @@ class GroundRemoval:
 
         points_m: (n, 3), levelled sensor frame, the surroundings up to `fit_radius_m`.
         """
-        if self._config.ground == "none" or len(points_m) == 0:
+        if self._method == "none" or len(points_m) == 0:
             return points_m[:, 2].copy()
         plane = self._coarse_plane(points_m)
         if plane is None:
@@ -191,7 +199,7 @@ class GroundRemoval:
             )
             return points_m[:, 2].copy()
         above = plane.height(points_m)
-        if self._config.ground == "patchwork":
+        if self._method == "patchwork":
             above = self._above_patches(points_m, above, -plane.offset_m)
         return np.where(above > self._config.ground_clearance_m, above, -np.inf)
 
@@ -204,7 +212,7 @@ class GroundRemoval:
                 self._height_m = -found.offset_m
         elif self._plane is None and self._height_m is not None:
             self._plane = Plane(0.0, 0.0, -self._height_m)
-        if self._config.ground == "band" and self._height_m is not None:
+        if self._method == "band" and self._height_m is not None:
             return Plane(0.0, 0.0, -self._height_m)
         return self._plane
 
