@@ -69,6 +69,8 @@ def hdbscan(
     if len(points_m) < max(min_cluster_size, min_samples):
         return _all_noise(len(points_m))
     first, second, weight = _spanning_forest(points_m, min_samples, max_gap_m)
+    if len(weight) == 0:
+        return _all_noise(len(points_m))
     tree = _condense(len(points_m), first, second, 1.0 / weight, min_cluster_size, 1.0 / max_gap_m)
     selected = _most_stable(tree)
     if min_gap_m > 0:

@@ -210,3 +210,10 @@ def test_a_cloud_too_dense_for_the_graph_is_refused(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(clustering, "MAX_PAIRS", 1000)
     with pytest.raises(AdcbfError, match="cell_m"):
         hdbscan(np.zeros((100, 2)), min_cluster_size=5, min_samples=3, min_gap_m=0.3, max_gap_m=1.0)
+
+
+def test_points_that_are_all_apart_are_noise() -> None:
+    points = 5.0 * np.arange(6.0)[:, None] * [1.0, 0.5]
+    grouping = hdbscan(points, min_cluster_size=3, min_samples=3, min_gap_m=0.3, max_gap_m=1.0)
+    assert (grouping.label == NO_ID).all()
+    assert (grouping.probability == 0.0).all()
