@@ -109,19 +109,20 @@ def measure(grouped: Grouped, config: PerceptionConfig, centre: str) -> Shapes:
     xy, start = grouped.points_m[:, :2], grouped.start
     yaw = fit_yaw(grouped.cells_m, grouped.cell_start, max(config.range_noise_m, config.cell_m / 2))
     box = rectangles_at(xy, start, yaw)
-    middle, least_radius = box.centre_m, np.zeros(len(start))
+    middle, length, width, least_radius = box.centre_m, box.length_m, box.width_m, np.zeros(len(start))
     if centre == "mean":
         middle = np.add.reduceat(xy, start, axis=0) / np.diff(np.append(start, len(xy)))[:, None]
     elif centre != "box":
         weight, circle = _trusted_circles(xy, start, box, config.range_noise_m, always=centre == "circle")
         middle = middle + weight[:, None] * (np.where(weight[:, None] > 0, circle.centre_m, middle) - middle)
         least_radius = weight * np.where(weight > 0, circle.radius_m, 0.0)
+        # A circle's far side is known, so the rectangle is then the one around it, not around its near side.
+        length = np.maximum(length, length + weight * (2 * least_radius - length))
+        width = np.maximum(width, width + weight * (2 * least_radius - width))
     radius = np.maximum(farthest(xy, start, middle), least_radius)
     low = np.minimum.reduceat(grouped.points_m[:, 2], start)
     high = np.maximum.reduceat(grouped.points_m[:, 2], start)
-    return Shapes(
-        np.column_stack([middle, (low + high) / 2]), radius, high - low, box.length_m, box.width_m, box.yaw_rad
-    )
+    return Shapes(np.column_stack([middle, (low + high) / 2]), radius, high - low, length, width, box.yaw_rad)
 
 
 def circle_weight(circle: Circles, box: Rectangles, size: IntArray, range_noise_m: float) -> FloatArray:

@@ -39,9 +39,10 @@ def assign(
 ) -> tuple[IntArray, IntArray]:
     """Indices of the tracks and of the clusters that belong together, by ascending track.
 
-    expected: (n, k); innovation_covariance: (n, k, k); measured: (c, k); radii (n,) and (c,).
+    expected: (n, k); innovation_covariance: (n, k, k); measured: (n, c, k), or (c, k) where all tracks see
+    a cluster alike; radii (n,) and (c,).
     """
-    n, c = len(expected), len(measured)
+    n, c = len(expected), len(cluster_radius_m)
     if n == 0 or c == 0:
         return np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
     gate = gate_chi2(measurement.dimension, config.gate_probability)

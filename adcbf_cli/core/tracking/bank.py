@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from adcbf_cli.core.tracking.bodies import Bodies
 from adcbf_cli.core.tracking.stillness import Sightings
 from adcbf_cli.core.types import BoolArray, FloatArray, IntArray
 
@@ -28,7 +29,8 @@ class TrackBank:
 
     states (n, m, d), covariances (n, m, d, d), modes (n, m) probabilities; noise_scale (n, 3)
     factors on the nominal measurement variance; spread_m (n, 3) the along-the-wall noise of a piece
-    of a wall, world frame; seen_s and born_s: times of the last and first hit.
+    of a wall, world frame; seen_s and born_s: times of the last and first hit; seen_at_m (n, 2) where
+    the body's centre was measured at the last hit, world frame.
     """
 
     track_id: IntArray
@@ -49,6 +51,8 @@ class TrackBank:
     misses: IntArray
     frames: IntArray
     nis: FloatArray
+    bodies: Bodies
+    seen_at_m: FloatArray
     sightings: Sightings
 
     @classmethod
@@ -78,6 +82,8 @@ class TrackBank:
             misses=integers(),
             frames=integers(),
             nis=zeros(),
+            bodies=Bodies.empty(),
+            seen_at_m=zeros(2),
             sightings=Sightings.empty(0),
         )
 
@@ -88,7 +94,7 @@ class TrackBank:
         """Drops all tracks but these."""
         for field in fields(self):
             value = getattr(self, field.name)
-            setattr(self, field.name, value.select(rows) if isinstance(value, Sightings) else value[rows])
+            setattr(self, field.name, value[rows] if isinstance(value, np.ndarray) else value.select(rows))
 
     def append(self, other: TrackBank) -> None:
         """Adds new tracks, whose sightings are still empty."""
@@ -96,6 +102,8 @@ class TrackBank:
             value = getattr(self, field.name)
             if isinstance(value, Sightings):
                 setattr(self, field.name, value.grow(len(other)))
+            elif isinstance(value, Bodies):
+                setattr(self, field.name, value.joined(other.bodies))
             else:
                 setattr(self, field.name, np.concatenate([value, getattr(other, field.name)]))
 

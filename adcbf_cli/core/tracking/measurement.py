@@ -44,8 +44,8 @@ class Measurement(Protocol):
     def noise(self, points_m: FloatArray, variance_m2: FloatArray, spread_m: FloatArray) -> FloatArray:
         """Noise covariance (n, k, k) at points (n, 3).
 
-        variance_m2: (n, 3) along the line of sight, across it, vertically. spread_m: (n, 3) one
-        more standard deviation along this vector, zero for none.
+        variance_m2: (n, 3) along the line of sight, across it, vertically. spread_m: (n, s, 3) one
+        more standard deviation along each of these vectors, zero for none.
         """
         ...
 
@@ -92,8 +92,8 @@ class Spherical:
         flat = np.maximum(np.hypot(points_m[:, 0], points_m[:, 1]), MIN_RANGE_M)
         range_m = flat if self.planar else np.hypot(flat, points_m[:, 2])
         lever = np.stack([np.ones_like(flat), flat, range_m], axis=-1)[:, : self.dimension]
-        spread = (self.jacobian(points_m) @ spread_m[:, :, None])[:, :, 0]
-        return _diagonal(variance_m2[:, : self.dimension] / lever**2) + spread[:, :, None] * spread[:, None, :]
+        spread = self.jacobian(points_m) @ np.swapaxes(spread_m, 1, 2)
+        return _diagonal(variance_m2[:, : self.dimension] / lever**2) + spread @ np.swapaxes(spread, 1, 2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +132,7 @@ def noise_along_axes(points_m: FloatArray, variance_m2: FloatArray, spread_m: Fl
     upwards = np.stack([-ca * se, -sa * se, ce], axis=-1)
     axes = np.stack([along, across, upwards], axis=-1)
     covariance: FloatArray = (axes * variance_m2[:, None, :]) @ np.swapaxes(axes, 1, 2)
-    return covariance + spread_m[:, :, None] * spread_m[:, None, :]
+    return covariance + np.swapaxes(spread_m, 1, 2) @ spread_m
 
 
 def nominal_variance(

@@ -62,6 +62,10 @@ class Sightings:
         self.position_m[:, self.cursor] = np.where(rows[:, None], position_m, 0.0)
         self.sensor_m[:, self.cursor] = sensor_m
 
+    def shift(self, rows: IntArray, by_m: FloatArray) -> None:
+        """Moves all that was seen of tracks `rows` (k,) by (k, 2): their centre is now known better."""
+        self.position_m[rows] += by_m[:, None, :]
+
     def select(self, rows: BoolArray) -> Sightings:
         return Sightings(self.time_s[rows], self.position_m[rows], self.sensor_m[rows], self.cursor)
 

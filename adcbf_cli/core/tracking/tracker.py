@@ -15,13 +15,15 @@ import numpy as np
 from adcbf_cli.core.config import TrackingConfig
 from adcbf_cli.core.timing import Timer, no_timer
 from adcbf_cli.core.tracking.association import assign
-from adcbf_cli.core.tracking.bank import TrackBank, adapted_noise, smoothed_size
-from adcbf_cli.core.tracking.filters import BatchFilter, Expectation
+from adcbf_cli.core.tracking.bank import TrackBank, adapted_noise
+from adcbf_cli.core.tracking.bodies import Bodies, aged_variance
+from adcbf_cli.core.tracking.filters import BatchFilter
 from adcbf_cli.core.tracking.linalg import inverted, quadratic_form, symmetrised
 from adcbf_cli.core.tracking.measurement import noise_along_axes, nominal_variance
 from adcbf_cli.core.tracking.modes import ModeChain, combine, mix, reweighed
 from adcbf_cli.core.tracking.stillness import Sightings, still
 from adcbf_cli.core.tracking.structures import wall_pieces
+from adcbf_cli.core.tracking.views import learn_sizes, size_doubt, view_bodies
 from adcbf_cli.core.types import NO_ID, BoolArray, Clusters, FloatArray, IntArray, Notes, Tracks, TrackStatus
 
 STANDING_VARIANCE = 1e-4
@@ -71,7 +73,8 @@ class Tracker:
             taken = self._update(bank, kalman, clusters)
             self._end_and_confirm(bank)
             bank.append(self._born(kalman, clusters, ~taken))
-            bank.sightings.add(bank.cluster_id != NO_ID, self._now_s, *self._seen_from(bank, clusters))
+            sensor_m = clusters.world_from_sensor[:2, 3]
+            bank.sightings.add(bank.cluster_id != NO_ID, self._now_s, bank.seen_at_m, sensor_m)
             bank.is_static = bank.is_structure | still(
                 bank.is_static, bank.sightings, self._now_s, bank.radius_m, self._config
             )
@@ -121,6 +124,7 @@ class Tracker:
             states.reshape(n * m, d), covariances.reshape(n * m, d, d), dt, np.tile(noise, (n, 1, 1))
         )
         bank.states, bank.covariances = moved.reshape(n, m, d), spread.reshape(n, m, d, d)
+        bank.bodies.yaw_variance = aged_variance(bank.bodies.yaw_variance, bank.is_static, dt)
 
     def _update(self, bank: TrackBank, kalman: BatchFilter, clusters: Clusters) -> BoolArray:
         """Assigns clusters to tracks and corrects these; returns (c,) which clusters were taken."""
@@ -129,8 +133,11 @@ class Tracker:
             return taken
         state, covariance = combine(bank.states, bank.covariances, bank.modes)
         expected = kalman.expect(state, covariance, clusters.world_from_sensor)
-        noise = self._noise(bank, kalman, state, clusters.world_from_sensor, np.zeros(len(bank)))
-        rows, columns = self._associate(bank, kalman, clusters, expected, symmetrised(expected.covariance + noise))
+        noise = self._noise(bank, kalman, np.arange(len(bank)), state, clusters.world_from_sensor)
+        views = view_bodies(bank.bodies, state[:, :2], bank.is_structure, clusters, self._config)
+        every = kalman.measurement.observe(views.centre_sensor_m(clusters))
+        total = symmetrised(expected.covariance + noise)
+        rows, columns = self._associate(bank, kalman, clusters, expected.mean, total, every)
         taken[columns] = True
         bank.frames += 1
         missed = np.ones(len(bank), dtype=np.bool_)
@@ -138,12 +145,9 @@ class Tracker:
         bank.misses = np.where(missed, bank.misses + 1, 0)
         if not len(rows):
             return taken
-        # A cluster smaller than the obstacle is part of it, a larger one holds something else too:
-        # either way its centre may be off by as much as the radii differ.
-        differs_m = np.zeros(len(bank))
-        differs_m[rows] = clusters.radius_m[columns] - bank.radius_m[rows]
-        noise = self._noise(bank, kalman, state, clusters.world_from_sensor, differs_m)[rows]
-        measured = kalman.measurement.observe(clusters.centre_sensor_m[columns])
+        doubt = size_doubt(bank, views, clusters, rows, columns)
+        noise = self._noise(bank, kalman, rows, state, clusters.world_from_sensor, *doubt)
+        measured = every[rows, columns]
         self._correct(bank, kalman, rows, measured, noise, clusters.world_from_sensor)
         innovation = kalman.measurement.difference(measured, expected.mean[rows])
         total = symmetrised(expected.covariance[rows] + noise)
@@ -152,27 +156,37 @@ class Tracker:
             bank.noise_scale[rows] = adapted_noise(bank.noise_scale[rows], bank.hits[rows], innovation, total, noise)
         is_piece, spread_m = wall_pieces(clusters, self._config.structure_length_m)
         bank.is_structure[rows], bank.spread_m[rows] = is_piece[columns], spread_m[columns]
-        bank.radius_m[rows] = smoothed_size(bank.radius_m[rows], clusters.radius_m[columns])
-        bank.height_m[rows] = smoothed_size(bank.height_m[rows], clusters.height_m[columns])
+        moved = learn_sizes(bank, views, clusters, rows, columns, self._config)
+        bank.states[rows, :, :2] += moved[:, None, :]
+        bank.sightings.shift(rows, moved)
+        bank.seen_at_m[rows] = views.centre_m(clusters, rows, columns) + moved
         bank.cluster_id[rows] = clusters.cluster_id[columns]
         bank.seen_s[rows] = self._now_s
         bank.hits[rows] += 1
         return taken
 
     def _associate(
-        self, bank: TrackBank, kalman: BatchFilter, clusters: Clusters, expected: Expectation, total: FloatArray
+        self,
+        bank: TrackBank,
+        kalman: BatchFilter,
+        clusters: Clusters,
+        expected: FloatArray,
+        total: FloatArray,
+        measured: FloatArray,
     ) -> tuple[IntArray, IntArray]:
-        """Tracks that were confirmed choose first; tentative ones share what is left."""
-        measured = kalman.measurement.observe(clusters.centre_sensor_m)
+        """Tracks that were confirmed choose first; tentative ones share what is left.
+
+        expected: (n, k); measured: (n, c, k), each cluster as the measurement of each track's body.
+        """
         tentative = bank.status == TrackStatus.TENTATIVE
         free = np.arange(len(clusters))
         pairs: list[tuple[IntArray, IntArray]] = []
         for rows in (np.flatnonzero(~tentative), np.flatnonzero(tentative)):
             i, j = assign(
-                expected.mean[rows],
+                expected[rows],
                 total[rows],
                 bank.radius_m[rows],
-                measured[free],
+                measured[np.ix_(rows, free)],
                 clusters.radius_m[free],
                 kalman.measurement,
                 self._config,
@@ -209,17 +223,24 @@ class Tracker:
         self,
         bank: TrackBank,
         kalman: BatchFilter,
+        rows: IntArray,
         state: FloatArray,
         world_from_sensor: FloatArray,
-        differs_m: FloatArray,
+        differs_m: FloatArray | float = 0.0,
+        along_m: FloatArray | None = None,
     ) -> FloatArray:
-        """(n, k, k) measurement noise of each track, where it is expected to be seen, with one more
-        standard deviation `differs_m` (n,) along the line of sight and across it."""
+        """(k, ., .) measurement noise of tracks `rows`, where they are expected to be seen, with one more
+        standard deviation `differs_m` (k,) along the line of sight and across it, and further ones
+        along the vectors `along_m` (k, s, 3), world."""
         rotation = world_from_sensor[:3, :3]
-        points = (state[:, :3] - world_from_sensor[:3, 3]) @ rotation
-        variance = bank.noise_scale * nominal_variance(points, bank.radius_m, bank.height_m, self._config)
-        variance[:, :2] += differs_m[:, None] ** 2
-        return kalman.measurement.noise(points, variance, bank.spread_m @ rotation)
+        points = (state[rows, :3] - world_from_sensor[:3, 3]) @ rotation
+        variance = nominal_variance(points, bank.radius_m[rows], bank.height_m[rows], self._config)
+        variance *= bank.noise_scale[rows]
+        variance[:, :2] += np.square(differs_m)[..., None]
+        spread_m = bank.spread_m[rows, None, :]
+        if along_m is not None:
+            spread_m = np.concatenate([spread_m, along_m], axis=1)
+        return kalman.measurement.noise(points, variance, spread_m @ rotation)
 
     def _end_and_confirm(self, bank: TrackBank) -> None:
         config = self._config
@@ -246,7 +267,7 @@ class Tracker:
         state[:, :3] = clusters.centre_m[rows]
         covariance = np.zeros((n, d, d))
         covariance[:, np.arange(d), np.arange(d)] = kalman.motion.initial_variance
-        placed = noise_along_axes(points, variance, spread_m[rows] @ rotation)
+        placed = noise_along_axes(points, variance, spread_m[rows, None, :] @ rotation)
         covariance[:, :3, :3] = rotation @ placed @ rotation.T
         identifiers = self._next_id + np.arange(n, dtype=np.int64)
         self._next_id += n
@@ -271,17 +292,12 @@ class Tracker:
         born.misses = np.zeros(n, dtype=np.int64)
         born.frames = np.ones(n, dtype=np.int64)
         born.nis = np.full(n, np.nan)
+        born.bodies = Bodies.seen_first(
+            clusters.length_m[rows], clusters.width_m[rows], clusters.yaw_rad[rows], self._config
+        )
+        born.seen_at_m = clusters.centre_m[rows, :2].copy()
         born.sightings = Sightings.empty(n)
         return born
-
-    def _seen_from(self, bank: TrackBank, clusters: Clusters) -> tuple[FloatArray, FloatArray]:
-        """Where each track's cluster was measured (n, 2), anywhere for the unseen; the sensor (2,)."""
-        position = np.zeros((len(bank), 2))
-        order = np.argsort(clusters.cluster_id, kind="stable")
-        seen = bank.cluster_id != NO_ID
-        found = np.searchsorted(clusters.cluster_id, bank.cluster_id[seen], sorter=order)
-        position[seen] = clusters.centre_m[order[found], :2]
-        return position, clusters.world_from_sensor[:2, 3]
 
     def _record(self, bank: TrackBank, clusters: Clusters) -> Tracks:
         state, covariance = combine(bank.states, bank.covariances, bank.modes)

@@ -41,7 +41,7 @@ def measured_points(states: np.ndarray, rng: np.random.Generator, pose: np.ndarr
 
 
 def noise_of(kalman: BatchFilter, points: np.ndarray) -> np.ndarray:
-    return kalman.measurement.noise(points, np.tile([0.05**2, 0.07**2, 0.08**2], (TRACKS, 1)), np.zeros((TRACKS, 3)))
+    return kalman.measurement.noise(points, np.tile([0.05**2, 0.07**2, 0.08**2], (TRACKS, 1)), np.zeros((TRACKS, 1, 3)))
 
 
 def spherical(point: np.ndarray, planar: bool) -> np.ndarray:
@@ -231,9 +231,9 @@ def test_noise_in_angles_is_that_in_metres_at_the_distance() -> None:
     """A standard deviation of 0.1 m across, at 5 m, is 0.02 rad; along a spread vector it is rank one."""
     measurement = BatchFilter(TrackingConfig(), False, Notes()).measurement
     points = np.array([[3.0, 4.0, 0.0]])
-    noise = measurement.noise(points, np.array([[0.04, 0.01, 0.09]]), np.zeros((1, 3)))[0]
+    noise = measurement.noise(points, np.array([[0.04, 0.01, 0.09]]), np.zeros((1, 1, 3)))[0]
     assert noise == pytest.approx(np.diag([0.04, 0.01 / 25, 0.09 / 25]))
-    across = measurement.noise(points, np.full((1, 3), 1e-12), np.array([[-0.8, 0.6, 0.0]]))[0]
+    across = measurement.noise(points, np.full((1, 3), 1e-12), np.array([[[-0.8, 0.6, 0.0]]]))[0]
     assert across == pytest.approx(np.diag([0.0, 1 / 25, 0.0]), abs=1e-9)
 
 
@@ -247,7 +247,7 @@ def test_points_at_or_above_the_sensor_give_no_nan(kind: str, point: list[float]
     for _ in range(50):
         state, covariance = kalman.predict(state, covariance, 0.1, kalman.motion.process_noise(0.1))
         at = np.array([point])
-        r = kalman.measurement.noise(at, np.full((1, 3), 0.01), np.zeros((1, 3)))
+        r = kalman.measurement.noise(at, np.full((1, 3), 0.01), np.zeros((1, 1, 3)))
         expected = kalman.expect(state, covariance, np.eye(4))
         result = kalman.update(state, covariance, expected, kalman.measurement.observe(at), r)
         state, covariance = result.state, result.covariance

@@ -1,0 +1,108 @@
+"""How each cluster of a frame would look as each track's body: where the body's centre would then be
+and how sure that is; and what a track learns of its body from the cluster that it took."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adcbf_cli.core.config import TrackingConfig
+from adcbf_cli.core.tracking.bank import TrackBank, smoothed_size
+from adcbf_cli.core.tracking.bodies import (
+    Bodies,
+    completion,
+    completion_sigma,
+    extents_along,
+    facing,
+    grown_bodies,
+    turned_bodies,
+)
+from adcbf_cli.core.types import NO_ID, BoolArray, Clusters, FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Views:
+    """n tracks by c clusters. ends: (n, 2) as from `bodies.facing`; trust: (n, c) how far a body's axes
+    hold for a cluster; seen_m: (n, c, 2) the cluster's extents along them; shift_m: (n, c, 3) from the
+    cluster's centre to the body's, world; axes: (n, 2, 2)."""
+
+    ends: FloatArray
+    trust: FloatArray
+    seen_m: FloatArray
+    shift_m: FloatArray
+    axes: FloatArray
+
+    def centre_sensor_m(self, clusters: Clusters) -> FloatArray:
+        """(n, c, 3) the bodies' centres, sensor frame."""
+        centres: FloatArray = clusters.centre_sensor_m + self.shift_m @ clusters.world_from_sensor[:3, :3]
+        return centres
+
+    def centre_m(self, clusters: Clusters, rows: IntArray, columns: IntArray) -> FloatArray:
+        """(k, 2) the bodies' centres of these pairs, world."""
+        centres: FloatArray = clusters.centre_m[columns, :2] + self.shift_m[rows, columns, :2]
+        return centres
+
+
+def view_bodies(
+    bodies: Bodies, place_m: FloatArray, is_structure: BoolArray, clusters: Clusters, config: TrackingConfig
+) -> Views:
+    """All pairs of tracks, expected at place_m (n, 2), and clusters. Pieces of a split cluster have ends
+    where they were cut, and tell nothing of a body."""
+    ends = facing(bodies, place_m, clusters.world_from_sensor[:2, 3])
+    whole = clusters.split_from == NO_ID
+    trust = bodies.trust()[:, None] * (whole[None, :] & ~is_structure[:, None])
+    seen = extents_along(clusters.length_m, clusters.width_m, clusters.yaw_rad, bodies.yaw_rad[:, None])
+    offset = completion(bodies.extent_m[:, None, :], seen, ends[:, None, :], trust, config.sigma_range_m)
+    axes = bodies.axes()
+    shift = np.zeros((*trust.shape, 3))
+    shift[:, :, :2] = offset @ axes
+    return Views(ends, trust, seen, shift, axes)
+
+
+def size_doubt(
+    bank: TrackBank, views: Views, clusters: Clusters, rows: IntArray, columns: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """How far the sizes of these pairs (k,) let their centres be off: one standard deviation along and
+    across the line of sight (k,), and one along each body axis, (k, 2, 3), world.
+
+    A cluster smaller than the obstacle is part of it, a larger one holds something else too. Where the
+    body's axes are unknown, its centre may be off by as much as the radii differ, in any direction.
+    """
+    trust = views.trust[rows, columns]
+    differs = (1.0 - trust) * (clusters.radius_m[columns] - bank.radius_m[rows])
+    sigma = completion_sigma(bank.bodies.extent_m[rows], views.seen_m[rows, columns], views.ends[rows], trust)
+    along = np.zeros((len(rows), 2, 3))
+    along[:, :, :2] = sigma[:, :, None] * views.axes[rows]
+    return differs, along
+
+
+def learn_sizes(
+    bank: TrackBank, views: Views, clusters: Clusters, rows: IntArray, columns: IntArray, config: TrackingConfig
+) -> FloatArray:
+    """Bodies and circles of tracks `rows` after they took clusters `columns`.
+
+    Returns (k, 2), world: how far the bodies' centres move because their extents are now known better.
+    The end that was seen stays where it is, so a body that turns out longer has its centre farther on;
+    that is no motion of the body.
+    """
+    seen, ends, trust = views.seen_m[rows, columns], views.ends[rows], views.trust[rows, columns]
+    sensor = clusters.world_from_sensor[:2, 3]
+    old = bank.bodies.select(rows)
+    new = grown_bodies(old, seen, views.centre_m(clusters, rows, columns), sensor)
+    noise_m = config.sigma_range_m
+    change = completion(new.extent_m, seen, ends, trust, noise_m) - completion(old.extent_m, seen, ends, trust, noise_m)
+    moved: FloatArray = np.einsum("ki,kij->kj", change, views.axes[rows])
+    weights = bank.modes[rows]
+    velocity = np.einsum("km,kmi->ki", weights, bank.states[rows, :, 3:5])
+    spread = np.einsum("km,kmij->kij", weights, bank.covariances[rows, :, 3:5, 3:5])
+    new = turned_bodies(new, clusters.yaw_rad[columns], clusters.length_m[columns], velocity, spread, config)
+    whole = clusters.split_from[columns] == NO_ID
+    bank.bodies.put(rows[whole], new.select(whole))
+    # Around the completed centre the circle has to cover the body, but no more than what was seen needs.
+    reach = clusters.radius_m[columns] + np.linalg.norm(views.shift_m[rows, columns], axis=1)
+    covering = np.minimum(reach, np.linalg.norm(new.extent_m, axis=1) / 2)
+    radius = np.maximum(clusters.radius_m[columns], trust * covering)
+    bank.radius_m[rows] = smoothed_size(bank.radius_m[rows], radius)
+    bank.height_m[rows] = smoothed_size(bank.height_m[rows], clusters.height_m[columns])
+    return np.where(whole[:, None], moved, 0.0)
