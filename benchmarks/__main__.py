@@ -1,10 +1,11 @@
-"""All speed and memory benchmarks, one after the other: what `make bench` runs.
+"""The speed and memory benchmarks, one after the other: what `make bench` runs.
 
     python benchmarks [--results FOLDER]
 
 They run on the sample log, and on the street log (kitti0000_a.mcap) where the folder named by
 ADCBF_REAL_DATA, or ../shared/data, has it. Tables go to the terminal as Markdown, figures to
-benchmarks/results/*.json. The paper's Table I is `benchmarks/table1.py`: it measures errors, not speed.
+benchmarks/results/*.json. Beside speed and memory there is one table on segmentation, so that nothing is
+gained by clustering worse. The paper's Table I is `benchmarks/table1.py`: it measures errors, not speed.
 """
 
 from __future__ import annotations
@@ -32,6 +33,20 @@ def tracking(results: Path) -> str:
     measuring.write_json(results / "tracking.json", found)
     rows = [[row["case"], row["tracks"], row["batched_ms"], row["filterpy_ms"], row["ratio"]] for row in found["rows"]]
     return measuring.markdown(["case", "tracks", "batched ms", "filterpy ms", "ratio"], rows) + "\n"
+
+
+def segmentation(log: Path, results: Path) -> str:
+    """`perception.py`'s segmentation figures as Markdown."""
+    truth = log.with_name(f"{log.stem}_gt_tracks.csv")
+    said = run("perception.py", "--log", str(log), "--truth", str(truth), "--ranges", "20", "--frames", "20", "--json")
+    found: dict[str, Any] = json.loads(said[said.index("{") :])  # Patchwork++ greets on stdout
+    measuring.write_json(results / f"perception_{log.stem}.json", found)
+    columns = ("objects", "missed", "over", "under", "area_m2_per_scan", "clusters_per_scan")
+    rows = [
+        [name, *(int(row[key]) for key in columns[:4]), *(row.get(key) for key in columns[4:])]
+        for name, row in found["segmentation"].items()
+    ]
+    return measuring.markdown(["clusterer", *columns[:4], "lost m2 a scan", "clusters a scan"], rows) + "\n"
 
 
 def on_log(log: Path, results: Path, frames: int) -> None:
@@ -64,6 +79,8 @@ def main() -> None:
         return
     print(f"## {street.name}\n")
     on_log(street, results, 45)
+    print("### segmentation\n")
+    print(segmentation(street, results), flush=True)
 
 
 if __name__ == "__main__":
