@@ -8,7 +8,7 @@ draws whole blocks.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
@@ -20,6 +20,9 @@ MIN_BLOCKS = 5
 MAX_BLOCKS = 200
 """More blocks than this are dealt into this many hands: the interval's width stays the same, and its
 cost no longer grows with the log."""
+MAX_KEPT = 2000
+"""So many blocks are kept apart while sums run; then they are dealt already, by their keys, so that
+memory does not grow with the log either."""
 _CHUNK = 100
 
 
@@ -33,6 +36,7 @@ class BlockSums:
 
     def __init__(self) -> None:
         self._sums: dict[str, dict[int, list[float]]] = {}
+        self._dealt: set[str] = set()
 
     def add(self, blocks: IntArray, quantities: Mapping[str, FloatArray]) -> None:
         """Adds samples: `blocks` (k,) says where each belongs, a quantity is (k,) or (k, steps) with
@@ -45,12 +49,14 @@ class BlockSums:
             known = np.isfinite(table)
             total = np.bincount(place, np.where(known, table, 0.0).sum(axis=1), len(keys))
             count = np.bincount(place, known.sum(axis=1), len(keys))
+            places = [_hand(key) for key in keys.tolist()] if name in self._dealt else keys.tolist()
             mine = self._sums.setdefault(name, {})
-            for key, s, c in zip(keys.tolist(), total.tolist(), count.tolist(), strict=True):
-                if c:
-                    cell = mine.setdefault(key, [0.0, 0.0])
-                    cell[0] += s
-                    cell[1] += c
+            _add_cells(mine, zip(places, total.tolist(), count.tolist(), strict=True))
+            if len(mine) > MAX_KEPT:
+                hands: dict[int, list[float]] = {}
+                self._sums[name] = hands
+                _add_cells(hands, ((_hand(key), s, c) for key, (s, c) in mine.items()))
+                self._dealt.add(name)
 
     def count(self, name: str) -> int:
         return int(sum(c for _, c in self._sums.get(name, {}).values()))
@@ -76,6 +82,20 @@ class BlockSums:
         means = np.concatenate([_resampled_means(rng, table, share) for _ in range(RESAMPLES // _CHUNK)])
         low, high = np.quantile(transform(means), [0.025, 0.975])
         return float(low), float(high)
+
+
+def _add_cells(cells: dict[int, list[float]], more: Iterable[tuple[int, float, float]]) -> None:
+    """Adds (key, sum, count) triples to their cells."""
+    for key, s, c in more:
+        if c:
+            cell = cells.setdefault(key, [0.0, 0.0])
+            cell[0] += s
+            cell[1] += c
+
+
+def _hand(key: int) -> int:
+    """The hand that a block's key falls into: by a checksum, so that neighbours are apart."""
+    return zlib.crc32(key.to_bytes(8, "little", signed=True)) % MAX_BLOCKS
 
 
 def _resampled_means(rng: np.random.Generator, table: FloatArray, share: FloatArray) -> FloatArray:

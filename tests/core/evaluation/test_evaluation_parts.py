@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adcbf_cli.core.errors import UsageError
-from adcbf_cli.core.evaluation.blocks import BlockSums, block_keys
+from adcbf_cli.core.evaluation.blocks import MAX_KEPT, BlockSums, block_keys
 from adcbf_cli.core.evaluation.formulas import (
     bearing,
     covered,
@@ -120,6 +120,22 @@ def test_intervals_of_many_blocks_have_the_right_width() -> None:
     assert interval is not None
     assert interval[1] - interval[0] == pytest.approx(2 * 1.96 / np.sqrt(len(values)), rel=0.15)
     assert interval[0] < values.mean() < interval[1]
+
+
+def test_blocks_that_come_one_by_one_are_kept_whole_in_bounded_memory() -> None:
+    """A block's samples may come at any time, before and after blocks have become too many to keep apart."""
+    values = np.random.default_rng(3).normal(-2, 1, 3 * MAX_KEPT)
+    sums = BlockSums()
+    for _ in range(2):
+        for start in range(0, len(values), 100):
+            part = slice(start, start + 100)
+            sums.add(block_keys(np.arange(len(values))[part], np.zeros(100, np.int64), SECOND), {"a": values[part]})
+            assert len(sums._sums["a"]) <= MAX_KEPT
+    assert sums.count("a") == 2 * len(values)
+    assert sums.mean("a") == pytest.approx(values.mean(), rel=1e-12)
+    interval = sums.interval("a", lambda m: m)
+    assert interval is not None
+    assert interval[1] - interval[0] == pytest.approx(2 * 1.96 / np.sqrt(len(values)), rel=0.15)
 
 
 def test_block_keys_tell_objects_and_times_apart() -> None:
