@@ -40,7 +40,7 @@ class PerceptionConfig(StageConfig):
     range_m: Positive = Field(
         4.0, description="Half the side of the square kept around the sensor; 4.0 is the paper's 8 x 8 m."
     )
-    min_range_m: NonNegative = Field(0.3, description="Closer points are the robot itself.")
+    min_range_m: NonNegative = Field(0.1, description="Closer points are the sensor's own housing or mount.")
     max_height_m: float = Field(
         2.5,
         description="Points higher above the local ground are overhangs, dropped (ground 'none': above the sensor).",

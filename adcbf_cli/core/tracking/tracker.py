@@ -156,7 +156,8 @@ class Tracker:
             bank.noise_scale[rows] = adapted_noise(bank.noise_scale[rows], bank.hits[rows], innovation, total, noise)
         is_piece, spread_m = wall_pieces(clusters, self._config.structure_length_m)
         bank.is_structure[rows], bank.spread_m[rows] = is_piece[columns], spread_m[columns]
-        moved = learn_sizes(bank, views, clusters, rows, columns, self._config)
+        since_s = self._now_s - bank.seen_s[rows]
+        moved = learn_sizes(bank, views, clusters, rows, columns, since_s, self._config)
         bank.states[rows, :, :2] += moved[:, None, :]
         bank.sightings.shift(rows, moved)
         bank.seen_at_m[rows] = views.centre_m(clusters, rows, columns) + moved
@@ -293,7 +294,11 @@ class Tracker:
         born.frames = np.ones(n, dtype=np.int64)
         born.nis = np.full(n, np.nan)
         born.bodies = Bodies.seen_first(
-            clusters.length_m[rows], clusters.width_m[rows], clusters.yaw_rad[rows], self._config
+            clusters.centre_m[rows, :2],
+            clusters.length_m[rows],
+            clusters.width_m[rows],
+            clusters.yaw_rad[rows],
+            self._config,
         )
         born.seen_at_m = clusters.centre_m[rows, :2].copy()
         born.sightings = Sightings.empty(n)

@@ -3,7 +3,7 @@ and how sure that is; and what a track learns of its body from the cluster that 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,27 +11,36 @@ from adcbf_cli.core.config import TrackingConfig
 from adcbf_cli.core.tracking.bank import TrackBank, smoothed_size
 from adcbf_cli.core.tracking.bodies import (
     Bodies,
+    axes_at,
     completion,
     completion_sigma,
     extents_along,
     facing,
+    followed_course,
+    followed_yaw,
     grown_bodies,
-    turned_bodies,
+    known,
+    moved_bodies,
+    rectangle_yaw_variance,
 )
 from adcbf_cli.core.types import NO_ID, BoolArray, Clusters, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
 class Views:
-    """n tracks by c clusters. ends: (n, 2) as from `bodies.facing`; trust: (n, c) how far a body's axes
-    hold for a cluster; seen_m: (n, c, 2) the cluster's extents along them; shift_m: (n, c, 3) from the
-    cluster's centre to the body's, world; axes: (n, 2, 2)."""
+    """n tracks by c clusters. yaw_rad, yaw_variance: (n, c) of the body, corrected by the cluster's
+    rectangle; axes: (n, c, 2, 2); ends: (n, c, 2) as from `bodies.facing`; known, trust: (n, c) how far
+    the axes hold, and how far to complete by them; seen_m: (n, c, 2) the cluster's extents along them;
+    shift_m: (n, c, 3) from the cluster's centre to the body's, world."""
 
+    yaw_rad: FloatArray
+    yaw_variance: FloatArray
+    axes: FloatArray
     ends: FloatArray
+    known: FloatArray
     trust: FloatArray
     seen_m: FloatArray
     shift_m: FloatArray
-    axes: FloatArray
 
     def centre_sensor_m(self, clusters: Clusters) -> FloatArray:
         """(n, c, 3) the bodies' centres, sensor frame."""
@@ -49,15 +58,22 @@ def view_bodies(
 ) -> Views:
     """All pairs of tracks, expected at place_m (n, 2), and clusters. Pieces of a split cluster have ends
     where they were cut, and tell nothing of a body."""
-    ends = facing(bodies, place_m, clusters.world_from_sensor[:2, 3])
-    whole = clusters.split_from == NO_ID
-    trust = bodies.trust()[:, None] * (whole[None, :] & ~is_structure[:, None])
-    seen = extents_along(clusters.length_m, clusters.width_m, clusters.yaw_rad, bodies.yaw_rad[:, None])
-    offset = completion(bodies.extent_m[:, None, :], seen, ends[:, None, :], trust, config.sigma_range_m)
-    axes = bodies.axes()
+    whole = (clusters.split_from == NO_ID)[None, :] & ~is_structure[:, None]
+    rectangle_variance = rectangle_yaw_variance(clusters.length_m, config)
+    yaw, variance = followed_yaw(
+        bodies.yaw_rad[:, None], bodies.yaw_variance[:, None], clusters.yaw_rad, rectangle_variance
+    )
+    axes = axes_at(yaw)
+    to_sensor = np.broadcast_to((clusters.world_from_sensor[:2, 3] - place_m)[:, None, :], (*yaw.shape, 2))
+    extent = bodies.extent_m[:, None, :]
+    ends = facing(axes, extent, to_sensor)
+    seen = extents_along(clusters.length_m, clusters.width_m, clusters.yaw_rad, yaw)
+    sure = known(variance) * whole
+    trust = sure * bodies.steadiness(config)[:, None]
     shift = np.zeros((*trust.shape, 3))
-    shift[:, :, :2] = offset @ axes
-    return Views(ends, trust, seen, shift, axes)
+    offset = completion(extent, seen, ends, trust, config.sigma_range_m)
+    shift[:, :, :2] = np.einsum("nci,ncij->ncj", offset, axes)
+    return Views(yaw, variance, axes, ends, sure, trust, seen, shift)
 
 
 def size_doubt(
@@ -71,34 +87,46 @@ def size_doubt(
     """
     trust = views.trust[rows, columns]
     differs = (1.0 - trust) * (clusters.radius_m[columns] - bank.radius_m[rows])
-    sigma = completion_sigma(bank.bodies.extent_m[rows], views.seen_m[rows, columns], views.ends[rows], trust)
+    sigma = completion_sigma(bank.bodies.extent_m[rows], views.seen_m[rows, columns], views.ends[rows, columns], trust)
     along = np.zeros((len(rows), 2, 3))
-    along[:, :, :2] = sigma[:, :, None] * views.axes[rows]
+    along[:, :, :2] = sigma[:, :, None] * views.axes[rows, columns]
     return differs, along
 
 
 def learn_sizes(
-    bank: TrackBank, views: Views, clusters: Clusters, rows: IntArray, columns: IntArray, config: TrackingConfig
+    bank: TrackBank,
+    views: Views,
+    clusters: Clusters,
+    rows: IntArray,
+    columns: IntArray,
+    since_s: FloatArray,
+    config: TrackingConfig,
 ) -> FloatArray:
-    """Bodies and circles of tracks `rows` after they took clusters `columns`.
+    """Bodies and circles of tracks `rows` after they took clusters `columns`, since_s (k,) after the last.
 
     Returns (k, 2), world: how far the bodies' centres move because their extents are now known better.
     The end that was seen stays where it is, so a body that turns out longer has its centre farther on;
     that is no motion of the body.
     """
-    seen, ends, trust = views.seen_m[rows, columns], views.ends[rows], views.trust[rows, columns]
-    sensor = clusters.world_from_sensor[:2, 3]
-    old = bank.bodies.select(rows)
+    seen, ends, trust = views.seen_m[rows, columns], views.ends[rows, columns], views.trust[rows, columns]
+    axes, sensor = views.axes[rows, columns], clusters.world_from_sensor[:2, 3]
+    old = replace(
+        bank.bodies.select(rows), yaw_rad=views.yaw_rad[rows, columns], yaw_variance=views.yaw_variance[rows, columns]
+    )
     new = grown_bodies(old, seen, views.centre_m(clusters, rows, columns), sensor)
-    noise_m = config.sigma_range_m
-    change = completion(new.extent_m, seen, ends, trust, noise_m) - completion(old.extent_m, seen, ends, trust, noise_m)
-    moved: FloatArray = np.einsum("ki,kij->kj", change, views.axes[rows])
+    # What full trust would have made of it: this decides how far to trust from now on.
+    sure, noise_m = views.known[rows, columns], config.sigma_range_m
+    before = np.einsum("ki,kij->kj", completion(old.extent_m, seen, ends, sure, noise_m), axes)
+    after = np.einsum("ki,kij->kj", completion(new.extent_m, seen, ends, sure, noise_m), axes)
     weights = bank.modes[rows]
     velocity = np.einsum("km,kmi->ki", weights, bank.states[rows, :, 3:5])
     spread = np.einsum("km,kmij->kij", weights, bank.covariances[rows, :, 3:5, 3:5])
-    new = turned_bodies(new, clusters.yaw_rad[columns], clusters.length_m[columns], velocity, spread, config)
+    centre = clusters.centre_m[columns, :2]
+    new = moved_bodies(new, centre, centre + before, after - before, velocity * since_s[:, None], noise_m)
+    new = followed_course(new, velocity, spread)
     whole = clusters.split_from[columns] == NO_ID
     bank.bodies.put(rows[whole], new.select(whole))
+    moved: FloatArray = (trust / np.maximum(sure, 1e-6))[:, None] * (after - before)
     # Around the completed centre the circle has to cover the body, but no more than what was seen needs.
     reach = clusters.radius_m[columns] + np.linalg.norm(views.shift_m[rows, columns], axis=1)
     covering = np.minimum(reach, np.linalg.norm(new.extent_m, axis=1) / 2)
