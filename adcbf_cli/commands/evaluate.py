@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from adcbf_cli.core.evaluation.report import Report
     from adcbf_cli.core.evaluation.thresholds import Threshold
     from adcbf_cli.core.types import Notes, Truth
+    from adcbf_cli.io.truth import PlaceTruth
 
 TruthOption = Annotated[
     str | None,
@@ -59,13 +60,15 @@ def score_run(shared: Shared, truth: str | None, fail_on: list[str], with_facts:
     from adcbf_cli.commands.summary import exit_for, print_facts, summarise
     from adcbf_cli.core.evaluation.thresholds import check_names, missed, parse_threshold
     from adcbf_cli.io.report import report_document, write_report
+    from adcbf_cli.io.truth import read_truth
 
     thresholds = [parse_threshold(text) for text in fail_on]
     job = plan_job(shared)
     if thresholds:
         check_names(thresholds, possible_metrics(job.config.evaluation))
+    place_truth = None if truth is None else read_truth(truth, job.log)  # before the work: a bad file costs no time
     outcome = run_stages(job, "predict", shared.force)
-    report = score(job, outcome, truth, outcome.notes)
+    report = score(job, outcome, place_truth, outcome.notes)
     failures = missed(thresholds, report)
     document = report_document(report, _provenance(outcome, truth, thresholds, failures))
     with outcome.folder.locked():
@@ -87,14 +90,14 @@ def score_run(shared: Shared, truth: str | None, fail_on: list[str], with_facts:
     exit_for(outcome)
 
 
-def score(job: Job, outcome: Outcome, truth_spec: str | None, notes: Notes) -> Report:
+def score(job: Job, outcome: Outcome, place_truth: PlaceTruth | None, notes: Notes) -> Report:
     """Evaluates the tables of a finished run; the run's own warnings and the evaluation's go to `notes`."""
     from adcbf_cli.core.evaluation.evaluate import evaluate as evaluate_records
     from adcbf_cli.io.tables import read_clusters, read_predictions, read_tracks
 
     folder = outcome.folder.path
     config = scoring_config(job.config, notes)
-    truth = None if truth_spec is None else _load_truth(truth_spec, job, outcome, config, notes)
+    truth = None if place_truth is None else _place(place_truth, job, outcome, config, notes)
     return evaluate_records(read_clusters(folder), read_tracks(folder), read_predictions(folder), truth, config, notes)
 
 
@@ -120,12 +123,13 @@ def possible_metrics(config: EvaluationConfig) -> list[str]:
     return list(evaluate_records((), (), (), empty, config, Notes()).metrics)
 
 
-def _load_truth(spec: str, job: Job, outcome: Outcome, config: EvaluationConfig, notes: Notes) -> Truth:
+def _place(place_truth: PlaceTruth, job: Job, outcome: Outcome, config: EvaluationConfig, notes: Notes) -> Truth:
+    """The truth at the run's frames, in its world."""
     import pyarrow.parquet as pq
 
     from adcbf_cli.core.evaluation.scene import truth_in_world
     from adcbf_cli.io.tables import read_clusters
-    from adcbf_cli.io.truth import TruthContext, load_truth
+    from adcbf_cli.io.truth import TruthContext
 
     frames = pq.read_table(outcome.folder.table("frames"), columns=["frame_index", "timestamp_ns"])
     context = TruthContext(
@@ -135,7 +139,7 @@ def _load_truth(spec: str, job: Job, outcome: Outcome, config: EvaluationConfig,
         world_frame=outcome.manifest.selection.get("world_frame"),
         kitti_first_frame=config.truth_first_frame,
     )
-    truth = load_truth(spec, context, notes)
+    truth = place_truth(context, notes)
     poses = ((record.stamp_ns, record.world_from_sensor) for record in read_clusters(outcome.folder.path))
     return truth_in_world(truth, poses, notes)
 

@@ -8,13 +8,16 @@ Which kind a file is shows in its content, not its name:
 - a KITTI tracking label file with its calibration in `../calib/` under the same name;
 - a TUM trajectory (`time x y z qx qy qz qw`): one object;
 - `topic:/name`: one object's poses, from a topic of the log itself.
+
+A file is read in full before anything is computed from the log, so that a mistake in it costs no
+time (`read_truth`); what needs the run's frames comes after them.
 """
 
 from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,10 +25,14 @@ import numpy as np
 
 from adcbf_cli.core.errors import AdcbfError, UsageError
 from adcbf_cli.core.types import FloatArray, IntArray, Notes, Truth
-from adcbf_cli.io.poses import read_pose_topic, read_tum, seconds_to_ns
+from adcbf_cli.io.log_base import printable
+from adcbf_cli.io.poses import check_pose_topic, checked_ns, read_pose_topic, read_tum, seconds_to_ns
 
 TOPIC_PREFIX = "topic:"
 _MAX_BYTES = 1 << 30
+_MOST_M = 1e9
+"""No label lies farther off, or is larger: beyond it squares lose what scoring needs."""
+_MOST_ID = 1 << 62
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,26 +47,43 @@ class TruthContext:
     kitti_first_frame: int = 0
 
 
-def load_truth(spec: str, context: TruthContext, notes: Notes) -> Truth:
-    """Ground truth from a file or, as `topic:/name`, from the log. AdcbfError or UsageError if it
-    cannot be read as any known kind."""
+PlaceTruth = Callable[[TruthContext, Notes], Truth]
+"""Truth that was read, waiting for the run that it is for."""
+
+
+def read_truth(spec: str, log: Path) -> PlaceTruth:
+    """Reads ground truth from a file, or finds the log's topic of `topic:/name`; AdcbfError or UsageError
+    if it cannot be read as any known kind. What is returned gives the truth once the run's frames are known."""
     if spec.startswith(TOPIC_PREFIX):
-        return _from_topic(spec.removeprefix(TOPIC_PREFIX), context, notes)
+        topic = spec.removeprefix(TOPIC_PREFIX)
+        if not log.exists():
+            raise AdcbfError(f"{log}: this log is gone, and the truth is a topic in it")
+        check_pose_topic(log, topic)
+        return lambda context, notes: _from_topic(topic, context, notes)
     path = Path(spec)
     first = _first_line(path)
     if "," in first:
-        return _from_csv(path, [name.strip() for name in first.split(",")], context, notes)
+        return _from_csv(path, [name.strip() for name in first.split(",")])
     words = first.split()
     if len(words) == 8 and all(_is_number(word) for word in words):
-        return _from_tum(path)
+        poses = read_tum(path)
+        object_poses = _one_object(path.name, poses.stamp_ns, poses.position_m, poses.quaternion_xyzw)
+        return lambda context, notes: object_poses
     if len(words) in (17, 18) and not _is_number(words[2]):
         from adcbf_cli.io.kitti_labels import read_kitti_labels
 
-        return read_kitti_labels(path, context, notes)
+        labels = read_kitti_labels(path)
+        return labels.on_run
     raise UsageError(
         f"{path}: not a ground truth that is known (CSV with a header, KITTI tracking labels, TUM trajectory, "
         "or topic:/name); docs/metrics.md describes them"
     )
+
+
+def load_truth(spec: str, context: TruthContext, notes: Notes) -> Truth:
+    """Ground truth of a run whose frames are known; raises as `read_truth` does, and AdcbfError where
+    the truth fits no frame of the run."""
+    return read_truth(spec, context.log)(context, notes)
 
 
 def _first_line(path: Path) -> str:
@@ -67,6 +91,8 @@ def _first_line(path: Path) -> str:
     try:
         if path.is_dir():
             raise UsageError(f"{path}: is a folder; name the ground truth file in it")
+        if path.exists() and not path.is_file():
+            raise UsageError(f"{path}: is no regular file; save the ground truth to a file first")
         if path.stat().st_size > _MAX_BYTES:
             raise AdcbfError(f"{path}: over 1 GiB, too large for a ground truth file")
         with path.open(encoding="utf-8-sig") as lines:
@@ -105,54 +131,92 @@ _KITTI_ODOM = {
 }  # fmt: skip
 
 
-def _from_csv(path: Path, header: Sequence[str], context: TruthContext, notes: Notes) -> Truth:
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """A CSV's rows. numbers: (m, 7) as `_GENERIC` orders them; azimuth_rad: (m,) in the sensor's frame, boxes only."""
+
+    stamp_ns: list[int]
+    track_id: list[int]
+    category: list[str]
+    numbers: list[list[float]]
+    azimuth_rad: list[float]
+
+
+def _from_csv(path: Path, header: Sequence[str]) -> PlaceTruth:
     boxes = "x_odom" in header
     names = _KITTI_ODOM if boxes else _GENERIC
     time = "timestamp_ns" if "timestamp_ns" in header else "stamp_s"
     missing = [name for name in (time, "track_id", names["x"], names["y"]) if name not in header]
     if missing:
         raise UsageError(f"{path}: lacks the column {missing[0]}; needs timestamp_ns (or stamp_s), track_id, x_m, y_m")
-    stamps: list[int] = []
-    ids: list[int] = []
-    categories: list[str] = []
-    numbers: list[list[float]] = []
-    azimuths: list[float] = []
-    with path.open(encoding="utf-8-sig", newline="") as stream:
-        table = csv.DictReader(line for line in stream if line.strip() and not line.startswith("#"))
-        table.fieldnames = list(header)
-        next(table)  # the header itself: its names are stripped above
-        for number, row in enumerate(table, start=2):
-            try:
-                stamps.append(int(row[time]) if time == "timestamp_ns" else seconds_to_ns(row[time]))
-                ids.append(int(row["track_id"]))
-                numbers.append([_optional(row.get(name)) for name in names.values()])
-                if not all(math.isfinite(value) for value in numbers[-1][:2]):
-                    raise ValueError("no position")
-                if boxes:
-                    azimuths.append(math.atan2(float(row["y_velo"]), float(row["x_velo"])))
-            except (ValueError, TypeError, KeyError, OverflowError):
-                raise AdcbfError(f"{path}: row {number}: not a labelled position: {_shown(row)}") from None
-            categories.append(row.get("class") or "object")
-    columns = np.array(numbers).reshape(-1, len(names))
+    rows = _csv_rows(path, header, time, list(names.values()), boxes)
     truth = _sorted_truth(
-        path.name, np.array(stamps, dtype=np.int64), np.array(ids, dtype=np.int64), categories, columns
+        path.name,
+        np.array(rows.stamp_ns, dtype=np.int64),
+        np.array(rows.track_id, dtype=np.int64),
+        rows.category,
+        np.array(rows.numbers).reshape(-1, len(names)),
     )
-    if not boxes:
-        return truth
-    notes.warn(
-        f"{path.name}: the camera's labels span {math.degrees(min(azimuths)):.1f} to {math.degrees(max(azimuths)):.1f} "
-        "degrees of azimuth; tracks elsewhere are neither right nor wrong (evaluation.truth_fov_deg overrides)"
-    )
-    return _on_frames(truth, (min(azimuths), max(azimuths)), context, notes)
+    if not boxes or not len(truth):
+        return lambda context, notes: truth
+    fov_rad = min(rows.azimuth_rad), max(rows.azimuth_rad)
+
+    def on_frames(context: TruthContext, notes: Notes) -> Truth:
+        notes.warn(
+            f"{path.name}: the camera's labels span {math.degrees(fov_rad[0]):.1f} to {math.degrees(fov_rad[1]):.1f} "
+            "degrees of azimuth; tracks elsewhere are neither right nor wrong (evaluation.truth_fov_deg overrides)"
+        )
+        return _on_frames(truth, fov_rad, context, notes)
+
+    return on_frames
+
+
+def _csv_rows(path: Path, header: Sequence[str], time: str, columns: Sequence[str], boxes: bool) -> _Rows:
+    """All rows below the header; AdcbfError, naming the row, at the first that is no labelled position."""
+    rows = _Rows([], [], [], [], [])
+    number = 1
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            table = csv.DictReader(line for line in stream if line.strip() and not line.startswith("#"))
+            table.fieldnames = list(header)
+            next(table)  # the header itself: its names are stripped above
+            for number, row in enumerate(table, start=2):
+                try:
+                    stamp = checked_ns(int(row[time])) if time == "timestamp_ns" else seconds_to_ns(row[time])
+                    numbers = [_optional(row.get(name)) for name in columns]
+                    if not all(math.isfinite(value) for value in numbers[:2]):
+                        raise ValueError("no position")
+                    rows.track_id.append(checked_id(row["track_id"]))
+                    if boxes:
+                        rows.azimuth_rad.append(math.atan2(float(row["y_velo"]), float(row["x_velo"])))
+                except (ValueError, TypeError, KeyError):
+                    raise AdcbfError(f"{path}: row {number}: not a labelled position: {_shown(row)}") from None
+                rows.stamp_ns.append(stamp)
+                rows.numbers.append(numbers)
+                rows.category.append(row.get("class") or "object")
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise AdcbfError(f"{path}: not readable as CSV after row {number}: {error}") from None
+    return rows
+
+
+def checked_id(text: str) -> int:
+    """An object's id as written; ValueError where it is no whole number that a table's id column holds."""
+    number = int(text)
+    if abs(number) >= _MOST_ID:
+        raise ValueError(f"{text[:20]} is too large an id")
+    return number
 
 
 def _optional(text: str | None) -> float:
-    """A number, NaN where the cell is empty or absent."""
-    return float(text) if text else math.nan
+    """A number, NaN where the cell is empty or absent. ValueError for what no length or angle can be."""
+    value = float(text) if text else math.nan
+    if abs(value) > _MOST_M:
+        raise ValueError(f"{text} is out of reach")
+    return value
 
 
 def _shown(row: dict[str, str]) -> str:
-    return ",".join(str(value) for value in row.values())[:80]
+    return printable(",".join("" if value is None else str(value) for value in row.values()))[:80]
 
 
 def _sorted_truth(
@@ -218,14 +282,7 @@ def _on_frames(truth: Truth, fov_rad: tuple[float, float], context: TruthContext
 # One object's poses ------------------------------------------------------------------------------
 
 
-def _from_tum(path: Path) -> Truth:
-    poses = read_tum(path)
-    return _one_object(path.name, poses.stamp_ns, poses.position_m, poses.quaternion_xyzw)
-
-
 def _from_topic(topic: str, context: TruthContext, notes: Notes) -> Truth:
-    if not context.log.exists():
-        raise AdcbfError(f"{context.log}: this log is gone, and the truth is a topic in it")
     poses = read_pose_topic(context.log, topic, notes)
     world = (context.world_frame or "").strip("/")
     frame = (poses.frame_id or "").strip("/")

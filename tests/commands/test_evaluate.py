@@ -205,6 +205,15 @@ def test_every_metric_is_described_in_the_docs() -> None:
         assert f"`{stem}`" in page or f"`{stem}." in page, name
 
 
+def test_the_truth_is_read_before_the_log_is_worked_through(sample_data: Path, tmp_path: Path) -> None:
+    bad = tmp_path / "truth.csv"
+    bad.write_text("timestamp_ns,track_id,x_m,y_m\n1,1,2,far\n")
+    for spec, complaint in ((bad, "row 2"), (tmp_path / "absent.csv", "cannot be read"), ("topic:/gone", "no topic")):
+        with pytest.raises(AdcbfError, match=complaint):
+            call(sample_data / "sample.mcap", "-t", spec, "-o", tmp_path / "run")
+        assert not (tmp_path / "run").exists()
+
+
 def test_real_street_from_points_to_score(real_data: Callable[[str], Path], tmp_path: Path) -> None:
     log, labels = real_data("kitti0000/kitti0000_a.mcap"), real_data("kitti0000/kitti0000_a_gt_tracks.csv")
     document = json.loads(call(log, "-t", labels, "--range", "20", "-o", tmp_path / "run", "--json").stdout)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 
 from adcbf_cli.core.errors import AdcbfError, UsageError
 from adcbf_cli.core.types import Notes
-from adcbf_cli.io.truth import TruthContext, load_truth
+from adcbf_cli.io.truth import TruthContext, load_truth, read_truth
 
 START_NS = 1_317_042_000_000_000_000
 STEP_NS = 100_000_000
@@ -60,6 +61,10 @@ def test_a_csv_may_leave_out_what_it_does_not_know(tmp_path: Path) -> None:
         (f"{START_NS},one,2,3", "row 2: not a labelled position"),
         (f"{START_NS}", "row 2: not a labelled position"),
         (f"{START_NS},1,2,3\n{START_NS},1,2,4", "two positions at"),
+        (f"{START_NS}{START_NS},1,2,3", "row 2: not a labelled position"),
+        (f"{START_NS},{START_NS}{START_NS},2,3", "row 2: not a labelled position"),
+        (f"{START_NS},1,1e300,3", "row 2: not a labelled position"),
+        (f'{START_NS},1,2,3\n"{"x" * 200_000}', "not readable as CSV after row 2"),
     ],
 )
 def test_bad_rows_are_one_clear_line(tmp_path: Path, row: str, complaint: str) -> None:
@@ -86,6 +91,20 @@ def test_what_is_no_ground_truth_is_said(tmp_path: Path, name: str, content: byt
         load_truth(str(tmp_path / "absent.csv"), context(), Notes())
     with pytest.raises(UsageError, match="is a folder"):
         load_truth(str(tmp_path), context(), Notes())
+
+
+def test_a_file_is_read_to_its_end_before_the_run_is_known(tmp_path: Path) -> None:
+    (tmp_path / "t.csv").write_bytes(b"timestamp_ns,track_id,x_m,y_m\n" + b"1,1,2,3\n" * 2000 + b"\xff\xfe\n")
+    with pytest.raises(AdcbfError, match="not readable as CSV"):
+        read_truth(str(tmp_path / "t.csv"), Path("absent"))
+    for stamp in ("9" * 25 + ".5", "1e30"):
+        with pytest.raises(AdcbfError, match=r"line 1: .*time"):
+            read_truth(write(tmp_path / "t.txt", f"{stamp} 1 2 0 0 0 0 1\n"), Path("absent"))
+    with pytest.raises(AdcbfError, match="out of reach"):
+        read_truth(write(tmp_path / "t.txt", "1.0 1 2 0 0 0 0 1e300\n"), Path("absent"))
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(UsageError, match="no regular file"):
+        read_truth(str(tmp_path / "pipe"), Path("absent"))
 
 
 BOXES = (
@@ -174,6 +193,13 @@ def test_kitti_labels_that_cannot_be_read(tmp_path: Path) -> None:
         load_truth(kitti(tmp_path, good, CALIBRATION.replace("R_rect", "R_other")), context(), Notes())
     with pytest.raises(AdcbfError, match="P2: not the numbers"):
         load_truth(kitti(tmp_path, good, CALIBRATION.replace("700", "wide")), context(), Notes())
+    for broken in (("0 -1 0 0", "0 0 0 0"), ("-0.3", "nan"), ("P2: 700", "P2: 0"), ("P2: 700", "P2: nan")):
+        with pytest.raises(AdcbfError, match=r"holds no rotation|not a camera"):
+            load_truth(kitti(tmp_path, good, CALIBRATION.replace(*broken)), context(), Notes())
+    with pytest.raises(AdcbfError, match="two labels in frame"):
+        load_truth(kitti(tmp_path, good + good), context(), Notes())
+    with pytest.raises(AdcbfError, match="line 1: not a KITTI"):
+        load_truth(kitti(tmp_path, good.replace("10.0", "inf")), context(), Notes())
     with pytest.raises(AdcbfError, match="no label falls on a scan"):
         load_truth(kitti(tmp_path, good), context(kitti_first_frame=50), Notes())
     (tmp_path / "calib" / "0001.txt").unlink()

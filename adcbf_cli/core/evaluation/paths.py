@@ -28,15 +28,15 @@ class Paths:
         self._values = values[order]
         self._angle = angle_column
         self._max_gap_ns = max_gap_ns
-        self._origin_ns = int(stamp_ns.min()) if len(stamp_ns) else 0
-        self._time_ns = stamp_ns[order] - self._origin_ns
-        # One sorted key for all paths: each path's times lie in its own stretch of the axis.
-        self._stretch_ns = (int(self._time_ns.max()) if len(stamp_ns) else 0) + 2 * EDGE_TOLERANCE_NS + 2
-        self._key = rank * self._stretch_ns + self._time_ns
+        self._time_ns = stamp_ns[order]
+        # One sorted key for all paths: each has its own stretch of the axis, where times are counted, not
+        # measured, for a path's number times a stretch of nanoseconds may exceed int64.
+        self._times_ns = np.unique(self._time_ns)
+        self._key = rank * (len(self._times_ns) + 1) + np.searchsorted(self._times_ns, self._time_ns)
         self._first = np.searchsorted(rank, np.arange(len(self.ids)))
         self._last = np.searchsorted(rank, np.arange(len(self.ids)), side="right") - 1
-        self.start_ns = self._time_ns[self._first] + self._origin_ns
-        self.end_ns = self._time_ns[self._last] + self._origin_ns
+        self.start_ns = self._time_ns[self._first]
+        self.end_ns = self._time_ns[self._last]
 
     def at(self, ids: IntArray, stamp_ns: IntArray) -> tuple[FloatArray, BoolArray]:
         """The values (q, k) of `ids` (q,) at `stamp_ns` (q,), and (q,) whether they are known.
@@ -52,8 +52,9 @@ class Paths:
         within = ((stamp_ns >= self.start_ns[rank]) & (stamp_ns <= self.end_ns[rank])) | near_start | near_end
         known = (self.ids[rank] == ids) & within
         rank = rank[known]
-        time = np.clip(stamp_ns[known], self.start_ns[rank], self.end_ns[rank]) - self._origin_ns
-        after = np.searchsorted(self._key, rank * self._stretch_ns + time)
+        time = np.clip(stamp_ns[known], self.start_ns[rank], self.end_ns[rank])
+        place = rank * (len(self._times_ns) + 1) + np.searchsorted(self._times_ns, time)
+        after = np.searchsorted(self._key, place)
         exact = self._time_ns[after] == time
         before = np.where(exact, after, after - 1)
         gap = self._time_ns[after] - self._time_ns[before]

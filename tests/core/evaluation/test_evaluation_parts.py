@@ -55,6 +55,20 @@ def test_paths_interpolate_but_not_across_gaps_or_beyond_ends() -> None:
     np.testing.assert_allclose(values[:, 0], [100.5, 0.5])
 
 
+def test_a_mistyped_stamp_does_not_upset_the_other_paths() -> None:
+    """Three objects over fifty years: one stretch of nanoseconds for each would exceed int64."""
+    ids = np.array([1, 1, 2, 2, 3, 3, 9])
+    stamps = np.array([10, 20, 10, 20, 10, 20, 0]) * 100_000_000 + 1_700_000_000_000_000_000
+    stamps[-1] = -1
+    values = np.array([[0.0], [1.0], [2.0], [3.0], [4.0], [5.0], [6.0]])
+    paths = Paths(ids, stamps, values, 10**10)
+    middle = 1_700_000_001_500_000_000
+    found, known = paths.at(np.array([3, 2, 1, 9]), np.array([middle, middle, middle, -1]))
+    assert known.all()
+    np.testing.assert_allclose(found[:, 0], [4.5, 2.5, 0.5, 6.0])
+    assert paths.present(middle)[0].tolist() == [1, 2, 3]
+
+
 def test_angles_take_the_shortest_arc() -> None:
     where = paths({0: {0.0: [0.0, 3.0], 0.2: [1.0, -3.0]}}, angle=1)
     values, _ = where.at(np.zeros(1, dtype=np.int64), np.array([SECOND // 10]))
