@@ -110,13 +110,15 @@ class Bodies:
         nominal = config.sigma_range_m**2 + (config.sigma_extent_ratio**2 / 4) * (self.extent_m**2).sum(axis=1)
         steadier = np.minimum(2.0 * seen / (seen + completed), 1.0)
         steady = np.minimum(2.0 * nominal / completed, 1.0)
-        return steadier * steady
+        share: FloatArray = steadier * steady
+        return share
 
 
 def axes_at(yaw_rad: FloatArray) -> FloatArray:
     """(..., 2, 2): both axes of bodies with yaw (...) as rows, world."""
     c, s = np.cos(yaw_rad), np.sin(yaw_rad)
-    return np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
+    axes: FloatArray = np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
+    return axes
 
 
 def known(yaw_variance: FloatArray) -> FloatArray:
@@ -129,7 +131,8 @@ def known(yaw_variance: FloatArray) -> FloatArray:
 def rectangle_yaw_variance(length_m: FloatArray, config: TrackingConfig) -> FloatArray:
     """Variance (rad^2) of the direction of a rectangle whose ends are seen to the range noise."""
     by_noise = np.minimum(config.sigma_range_m / np.maximum(length_m, 1e-6), 1.0)
-    return np.minimum(YAW_FLOOR_RAD**2 + by_noise**2, MAX_YAW_VARIANCE)
+    variance: FloatArray = np.minimum(YAW_FLOOR_RAD**2 + by_noise**2, MAX_YAW_VARIANCE)
+    return variance
 
 
 def extents_along(
