@@ -35,18 +35,11 @@ def tracking(results: Path) -> str:
     return measuring.markdown(["case", "tracks", "batched ms", "filterpy ms", "ratio"], rows) + "\n"
 
 
-def segmentation(log: Path, results: Path) -> str:
-    """`perception.py`'s segmentation figures as Markdown."""
-    truth = log.with_name(f"{log.stem}_gt_tracks.csv")
-    said = run("perception.py", "--log", str(log), "--truth", str(truth), "--ranges", "20", "--frames", "20", "--json")
-    found: dict[str, Any] = json.loads(said[said.index("{") :])  # Patchwork++ greets on stdout
-    measuring.write_json(results / f"perception_{log.stem}.json", found)
-    columns = ("objects", "missed", "over", "under", "area_m2_per_scan", "clusters_per_scan")
-    rows = [
-        [name, *(int(row[key]) for key in columns[:4]), *(row.get(key) for key in columns[4:])]
-        for name, row in found["segmentation"].items()
-    ]
-    return measuring.markdown(["clusterer", *columns[:4], "lost m2 a scan", "clusters a scan"], rows) + "\n"
+def segmentation(log: Path, truth: Path, results: Path, *options: str) -> str:
+    """`segmentation.py`'s figures as Markdown."""
+    return run(
+        "segmentation.py", str(log), str(truth), *options, "--json", str(results / f"segmentation_{log.stem}.json")
+    )
 
 
 def on_log(log: Path, results: Path, frames: int) -> None:
@@ -73,6 +66,9 @@ def main() -> None:
     print(tracking(results), flush=True)
     print(f"## {measuring.SAMPLE_LOG.name}\n")
     on_log(measuring.SAMPLE_LOG, results, 45)
+    print("### segmentation\n")
+    sample_truth = measuring.SAMPLE_LOG.with_name("truth.csv")
+    print(segmentation(measuring.SAMPLE_LOG, sample_truth, results, "--range", "15", "--label-range", "12"), flush=True)
     street = measuring.street_log()
     if street is None:
         print("No street log: ADCBF_REAL_DATA does not name a folder with kitti0000/kitti0000_a.mcap.")
@@ -80,7 +76,8 @@ def main() -> None:
     print(f"## {street.name}\n")
     on_log(street, results, 45)
     print("### segmentation\n")
-    print(segmentation(street, results), flush=True)
+    street_truth = street.with_name(f"{street.stem}_gt_tracks.csv")
+    print(segmentation(street, street_truth, results), flush=True)
 
 
 if __name__ == "__main__":
