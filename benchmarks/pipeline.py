@@ -25,7 +25,7 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
-from perception import CELL_M, whole_cloud
+from plain_clusters import CELL_M, whole_cloud
 from plain_pipeline import PlainResult, PlainRoad, looped_horizon
 
 from adcbf_cli.core.config import PerceptionConfig, PredictionConfig, ReadConfig, TrackingConfig

@@ -1,6 +1,6 @@
 """The plain road beside which adcbf is timed: the same libraries, one after the other, no batching.
 
-Clusters come from `perception.PlainPipeline` (crop, Patchwork++, 0.1 m cubes, scikit-learn's HDBSCAN on
+Clusters come from `plain_clusters.PlainPipeline` (crop, Patchwork++, 0.1 m cubes, scikit-learn's HDBSCAN on
 all of them). Each track is one filterpy UnscentedKalmanFilter with the paper's measurement, assigned by
 scipy's linear_sum_assignment on distance; each confirmed track's horizon is a Python loop over
 filterpy's predict. Track life and horizon are those of adcbf's defaults.
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from filterpy.common import Q_discrete_white_noise
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
-from perception import PlainPipeline
+from plain_clusters import PlainPipeline
 from scipy.optimize import linear_sum_assignment
 from tracking import difference, observe, wrapped_mean
 
