@@ -256,6 +256,8 @@ class BagLog(Log):
         reported, and gives what comes before the damage."""
         cut = chunk.offset + chunk.length > self._size
         try:
+            if chunk.length > MAX_BLOCK_BYTES:  # a damaged length may claim the rest of a file of any size
+                raise BadRecord(f"it claims {chunk.length} bytes")
             data = memoryview(_unpack(chunk, self._at(chunk.offset, chunk.length), cut))
             position = 0
             while position + 8 <= len(data):

@@ -147,6 +147,8 @@ class McapLog(Log):
         footer = Footer.read(_stream(raw[_RECORD_HEAD.size :]))
         if not len(MAGIC) <= footer.summary_start < self._size - tail:
             return False
+        if self._size - tail - footer.summary_start > MAX_BLOCK_BYTES:
+            raise Damaged("it claims most of the file")
         summary = memoryview(self._at(footer.summary_start, self._size - tail - footer.summary_start))
         checked = zlib.crc32(raw[: _FOOTER_BYTES - 4], zlib.crc32(summary))
         if footer.summary_crc and footer.summary_crc != checked:
@@ -271,7 +273,8 @@ class McapLog(Log):
         """Per channel, the recording times in one block: from the message index where there is one."""
         times: dict[int, list[IntArray]] = {}
         if block.index is not None:
-            for opcode, body in _records(memoryview(self._at(*block.index))):
+            offset, length = block.index
+            for opcode, body in _records(memoryview(self._at(offset, min(length, MAX_BLOCK_BYTES)))):
                 if opcode == Opcode.MESSAGE_INDEX and len(body) >= 6:
                     number, length = struct.unpack_from("<HI", body)
                     pairs = np.frombuffer(body[6 : 6 + length // 16 * 16], dtype="<u8").reshape(-1, 2)
@@ -280,7 +283,7 @@ class McapLog(Log):
             for opcode, body in self._block_records(block):
                 if opcode == Opcode.MESSAGE and len(body) >= _MESSAGE_HEAD.size:
                     number, _, log_ns, _ = _MESSAGE_HEAD.unpack_from(body)
-                    times.setdefault(number, []).append(np.array([log_ns], dtype=np.int64))
+                    times.setdefault(number, []).append(np.array([log_ns], dtype=np.uint64).astype(np.int64))
         for number, parts in times.items():
             if number in self._channels:
                 yield number, np.concatenate(parts)
@@ -288,6 +291,8 @@ class McapLog(Log):
     def _block_records(self, block: _Block) -> Iterator[tuple[int, memoryview]]:
         """The records of a block; a damaged chunk is reported and skipped, a cut one gives its whole records."""
         try:
+            if block.length > MAX_BLOCK_BYTES:  # a damaged length may claim the rest of a file of any size
+                raise Damaged(f"it claims {block.length} bytes")
             raw = self._at(block.offset, block.length)
             cut = block.offset + block.length >= self._size
             data = memoryview(self._unpack_chunk(raw, cut) if block.is_chunk else raw)

@@ -104,8 +104,8 @@ def cloud_dtype(fields: Any, point_step: int, big_endian: bool) -> np.dtype[Any]
 
 def finite_points(columns: list[np.ndarray[Any, Any]]) -> tuple[FloatArray, BoolArray | None]:
     """x, y, z columns (n,) -> (m, 3) float64 points that are returns, and the (n,) mask, None where all are."""
-    x, y, z = (np.ascontiguousarray(column, dtype=np.float64) for column in columns)
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):  # also the casts: damaged bytes hold signalling NaNs
+        x, y, z = (np.ascontiguousarray(column, dtype=np.float64) for column in columns)
         square = x * x
         square += y * y
         square += z * z
@@ -117,7 +117,8 @@ def finite_points(columns: list[np.ndarray[Any, Any]]) -> tuple[FloatArray, Bool
 
 def laser_scan(scan: Any, message: Message) -> Scan:
     """A sensor_msgs/LaserScan as points in the scan plane, with times stamp + i * time_increment."""
-    ranges = np.asarray(scan.ranges, dtype=np.float64)
+    with np.errstate(invalid="ignore"):
+        ranges = np.asarray(scan.ranges, dtype=np.float64)
     beams = np.arange(len(ranges))
     farthest = float(scan.range_max)
     nearest = float(scan.range_min)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sqlite3
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap.writer import Writer
 
 from adcbf_cli.core.errors import AdcbfError, UsageError
 from adcbf_cli.core.types import Notes
@@ -289,6 +291,35 @@ def test_lengths_in_a_file_allocate_nothing(tmp_path: Path) -> None:
         got, notes = contents(path)
         assert got == []
         assert notes.losses
+
+
+def test_a_chunk_that_claims_the_rest_of_a_huge_file_is_a_loss(make: Any, tmp_path: Path) -> None:
+    """A sparse file: 3 GB that take no room; read whole, they would."""
+    path = write(make, tmp_path, "mcap-none")
+    data = path.read_bytes()
+    size = 3 << 30
+    with path.open("wb") as file:
+        file.write(data[:8])
+        file.write(b"\x06" + struct.pack("<Q", size - 17) + bytes(28))
+        file.truncate(size)
+    notes = Notes()
+    with open_log(path, notes) as log:
+        assert list(log.messages()) == []
+    assert any("claims" in loss.what for loss in notes.losses)
+
+
+def test_recording_times_beyond_int64_do_not_stop_the_statistics(tmp_path: Path) -> None:
+    path = tmp_path / "late.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, use_chunking=False)
+        writer.start()
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
+        channel = writer.register_channel("/a", "cdr", schema)
+        for stamp in (1, 2**63 + 5):
+            writer.add_message(channel, stamp, bytes(4), 0)
+        writer.finish()
+    with open_log(path, Notes()) as log:
+        assert log.topics()[0].count == 2
 
 
 def test_a_truncated_database_gives_its_readable_part(make: Any, tmp_path: Path) -> None:

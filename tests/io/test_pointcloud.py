@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from adcbf_cli.core.types import Notes, Scan
 from adcbf_cli.io.log_base import Connection, Message
-from adcbf_cli.io.pointcloud import ScanDecoder
+from adcbf_cli.io.pointcloud import ScanDecoder, finite_points
 from adcbf_cli.io.ros_messages import Undecodable
 
 T0 = 1_700_000_000_000_000_000
@@ -262,3 +262,12 @@ def test_cut_livox_messages_are_an_error_never_garbage(make: Any, cut: int) -> N
     connection = Connection("/livox", "livox_ros_driver2/msg/CustomMsg", "cdr")
     with pytest.raises(Undecodable):
         ScanDecoder("/livox", Notes()).scan(Message(connection, T0, data[: min(cut, len(data) - 2)]))
+
+
+@pytest.mark.filterwarnings("error")
+def test_signalling_nans_of_damaged_bytes_leave_quietly() -> None:
+    columns = [np.array([0x7FA00000, 0x3F800000], dtype="<u4").view("<f4") for _ in "xyz"]
+    points, kept = finite_points(columns)
+    np.testing.assert_array_equal(points, [[1.0, 1.0, 1.0]])
+    assert kept is not None
+    assert kept.tolist() == [False, True]
