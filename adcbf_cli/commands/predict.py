@@ -49,6 +49,7 @@ def predict(
     """
     from adcbf_cli.commands.stages import plan_job, run_stages
     from adcbf_cli.commands.summary import finish
+    from adcbf_cli.io.atomic import check_target
 
     overrides = {
         "prediction.steps": steps,
@@ -56,6 +57,8 @@ def predict(
         "prediction.calibration": "file" if calibration_file else None,
     }
     job = plan_job(shared, overrides, calibration_file)
+    if save_calibration is not None:
+        check_target(save_calibration)
     outcome = run_stages(job, "predict", shared.force)
     if save_calibration is not None:
         _save_calibration(save_calibration, outcome)

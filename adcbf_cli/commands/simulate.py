@@ -173,15 +173,13 @@ def _read(path: Path) -> str:
 def _check_targets(scenario: Path, log: Path, truth: Path | None) -> None:
     """Raises UsageError where an output could not be written, before the work is done."""
     from adcbf_cli.core.errors import UsageError
+    from adcbf_cli.io.atomic import check_target
 
     if log.suffix != ".mcap":
         raise UsageError(f"{log}: the log is written as MCAP; name it with .mcap")
     targets = [path for path in (log, truth) if path is not None]
     for path in targets:
-        if path.is_dir():
-            raise UsageError(f"{path}: is a folder; give a file name")
-        if not path.absolute().parent.is_dir():
-            raise UsageError(f"{path}: there is no folder {path.parent}; make it first")
+        check_target(path)
         if path.resolve() == scenario.resolve():
             raise UsageError(f"{path}: is the scenario itself; give another name")
     if truth is not None and truth.resolve() == log.resolve():

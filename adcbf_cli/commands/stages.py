@@ -53,7 +53,7 @@ REPORTS = ("report.json", "report.md")
 
 @dataclass(frozen=True)
 class Job:
-    """What to run: the log, the run folder, the settings, and the calibration file's text."""
+    """What to run: the log, the run folder, the settings, and the calibration file's text (known to be one)."""
 
     log: Path
     folder: RunFolder
@@ -77,6 +77,8 @@ def plan_job(shared: Shared, overrides: dict[str, Any] | None = None, calibratio
     """Reads the shared options: a log starts from the defaults, a run folder from its own settings."""
     overrides = {**shared.overrides(), **(overrides or {})}
     calibration = None if calibration_file is None else read_small_text(calibration_file)
+    if calibration is not None:
+        _parse_calibration(calibration)
     if RunFolder.is_one(shared.source):
         if shared.output is not None and shared.output.resolve() != shared.source.resolve():
             raise UsageError("-o goes with a log; a run folder is worked on where it is")
@@ -128,9 +130,9 @@ def run_stages(job: Job, upto: str, force: bool = False) -> Outcome:
 
 def _manifest_so_far(job: Job, valid: list[str]) -> Manifest:
     """The folder's manifest with the stages that are still valid, or a new one."""
-    if not RunFolder.is_one(job.folder.path):
+    old = job.folder.usable_manifest()
+    if old is None:
         return Manifest(job.source, {}, job.config, {})
-    old = job.folder.manifest()
     return replace(old, source=job.source, config=job.config, stages={name: old.stages[name] for name in valid})
 
 
@@ -149,7 +151,7 @@ def _compute(job: Job, manifest: Manifest, keys: dict[str, str], todo: tuple[str
     config = job.config
     with ExitStack() as stack:
         selection = manifest.selection
-        total: int | None = manifest.stages["cluster"].rows["frames"] if "cluster" in manifest.stages else None
+        total: int | None = manifest.stages["cluster"].rows.get("frames") if "cluster" in manifest.stages else None
         records: Any
         if todo[0] == "cluster":
             from adcbf_cli.core.perception.pipeline import cluster_frames

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from adcbf_cli.core.errors import UsageError
+
 TEMPORARY_SUFFIX = ".partial"
 
 
@@ -23,6 +25,16 @@ def atomic_path(target: Path) -> Iterator[Path]:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def check_target(target: Path) -> None:
+    """UsageError where a file could not be written at this path: asked before long work, not after it."""
+    if target.is_dir():
+        raise UsageError(f"{target}: is a folder; give a file name")
+    if not target.absolute().parent.is_dir():
+        raise UsageError(f"{target}: there is no folder {target.parent}; make it first")
+    if not os.access(target.absolute().parent, os.W_OK):
+        raise UsageError(f"{target}: the folder {target.parent} may not be written to; choose another")
 
 
 def write_text_atomically(target: Path, text: str) -> None:

@@ -18,11 +18,15 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 import adcbf_cli
 from adcbf_cli.core.config import Config
 from adcbf_cli.core.errors import AdcbfError
 from adcbf_cli.core.types import Loss, Notes
 from adcbf_cli.io.atomic import remove_leftovers, write_text_atomically
+from adcbf_cli.io.log_base import printable
+from adcbf_cli.io.settings import first_problem
 from adcbf_cli.io.tables import SCHEMA_VERSION, table_metadata
 
 MANIFEST = "run.json"
@@ -38,6 +42,10 @@ TABLES: dict[str, tuple[str, ...]] = {
 
 OPTIONAL_TABLES: dict[str, tuple[str, ...]] = {"cluster": ("points",), "track": (), "predict": ()}
 """Tables that a setting asks for."""
+
+
+class OutdatedRunError(AdcbfError):
+    """A run folder that another version of adcbf made, or whose settings were edited into something else."""
 
 
 @dataclass(frozen=True)
@@ -96,8 +104,10 @@ class Manifest:
     def from_json(text: str) -> Manifest:
         document = json.loads(text)
         if document["schema_version"] != SCHEMA_VERSION:
-            raise ValueError(f"schema version {document['schema_version']}, this adcbf reads {SCHEMA_VERSION}")
+            raise OutdatedRunError(f"schema version {document['schema_version']}, this adcbf reads {SCHEMA_VERSION}")
         source = document["source"]
+        if not isinstance(document["selection"], dict):
+            raise ValueError("its selection is no mapping")
         return Manifest(
             source=Source(source["path"], source["sha256"], tuple(SourceFile(**f) for f in source["files"])),
             selection=document["selection"],
@@ -129,18 +139,31 @@ class RunFolder:
             return Manifest.from_json(path.read_text(encoding="utf-8"))
         except FileNotFoundError:
             raise AdcbfError(f"{self.path}: not a run folder (no {MANIFEST}); run a stage on a log first") from None
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            reason = str(error).splitlines()[0]
+        except OutdatedRunError as error:
+            raise OutdatedRunError(f"{path}: {error}; run on the log itself to make it anew") from None
+        except ValidationError as error:
+            reason = f"not this adcbf's settings ({first_problem(error)})"
+            raise OutdatedRunError(f"{path}: {reason}; run on the log itself to make it anew") from None
+        except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+            reason = printable((str(error) or type(error).__name__).splitlines()[0])
             raise AdcbfError(f"{path}: unreadable ({reason}); remove the folder and run again") from None
+
+    def usable_manifest(self) -> Manifest | None:
+        """The manifest, None where there is none or another version's; AdcbfError for an unintelligible one."""
+        if not RunFolder.is_one(self.path):
+            return None
+        try:
+            return self.manifest()
+        except OutdatedRunError:
+            return None
 
     def write_manifest(self, manifest: Manifest) -> None:
         write_text_atomically(self.path / MANIFEST, manifest.to_json())
 
     def has_valid(self, stage: str, key: str) -> bool:
         """Whether this stage's tables are whole and were made under `key`."""
-        if not RunFolder.is_one(self.path):
-            return False
-        record = self.manifest().stages.get(stage)
+        manifest = self.usable_manifest()
+        record = None if manifest is None else manifest.stages.get(stage)
         if record is None or record.key != key:
             return False
         return all((table_metadata(self.table(name)) or {}).get("key") == key for name in TABLES[stage])

@@ -167,6 +167,21 @@ def test_a_calibration_learned_on_one_log_serves_another(log: Path, tmp_path: Pa
     assert first_frame["conformal_radius_m"].null_count == 0, "radii are there from the first frame on"
 
 
+def test_what_the_end_needs_is_checked_at_the_beginning(log: Path, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.json"
+    bad.write_text("{}")
+    folder = tmp_path / "run"
+    for option, file, code in (
+        ("--calibration", bad, 1),
+        ("--save-calibration", tmp_path / "absent" / "c.json", 2),
+        ("--save-calibration", tmp_path, 2),
+    ):
+        done = adcbf("predict", log, "-o", folder, option, file)
+        assert done.returncode == code, done.stderr
+        assert done.stderr.count("adcbf: error") == 1
+        assert not folder.exists(), "nothing was computed first"
+
+
 def test_thresholds_set_the_exit_code_and_the_report_is_there_all_the_same(run_folder: Path, tmp_path: Path) -> None:
     truth = run_folder.parent / "none.csv"
     passed = adcbf("evaluate", run_folder, "--fail-on", "later_seen.rmse_x_m>100")

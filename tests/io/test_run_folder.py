@@ -14,6 +14,7 @@ from adcbf_cli.core.types import Loss
 from adcbf_cli.io.run_folder import (
     STAGES,
     Manifest,
+    OutdatedRunError,
     RunFolder,
     Source,
     SourceFile,
@@ -89,12 +90,31 @@ def test_a_log_is_known_by_names_and_contents_not_by_where_it_lies(tmp_path: Pat
     assert identify_source("x", (tmp_path / "there" / "a.mcap",)).sha256 not in hashes
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[]", "not json", '{"schema_version": 99}'])
+@pytest.mark.parametrize("text", ["", "{}", "[]", "not json", '{"schema_version": 1}'])
 def test_an_unreadable_manifest_is_one_clear_line(tmp_path: Path, text: str) -> None:
     (tmp_path / "run.json").write_text(text)
     with pytest.raises(AdcbfError, match=r"run\.json: unreadable .*remove the folder") as error:
         RunFolder(tmp_path).manifest()
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (('"match_m"', '"match_far_m"'), "evaluation.match_far_m"),
+        (('"schema_version": 1', '"schema_version": 99'), "schema version 99"),
+    ],
+)
+def test_another_versions_run_is_made_anew_from_the_log(tmp_path: Path, edit: tuple[str, str], words: str) -> None:
+    folder = RunFolder(tmp_path)
+    folder.write_manifest(manifest({"cluster": StageRecord("k", {"frames": 2})}))
+    path = tmp_path / "run.json"
+    path.write_text(path.read_text().replace(*edit))
+    with pytest.raises(OutdatedRunError, match=f"{words}.*run on the log itself") as error:
+        folder.manifest()
+    assert "\n" not in str(error.value)
+    assert folder.usable_manifest() is None
+    assert not folder.has_valid("cluster", "k")
 
 
 def test_no_manifest_is_no_run_folder(tmp_path: Path) -> None:
