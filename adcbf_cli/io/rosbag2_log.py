@@ -145,7 +145,7 @@ def read_metadata(folder: Path) -> dict[str, Any]:
         raise AdcbfError(f"{path} is too large to be a rosbag2 metadata file")
     try:
         content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError, OSError, RecursionError) as error:
+    except (yaml.YAMLError, ValueError, OSError, RecursionError) as error:
         raise AdcbfError(f"{path} is not readable as YAML; remove it to read the folder without it") from error
     information = content.get("rosbag2_bagfile_information") if isinstance(content, dict) else None
     if not isinstance(information, dict):

@@ -90,7 +90,7 @@ def _from_file(path: Path) -> Nested:
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not a text file"
         raise UsageError(f"{path}: cannot be read ({reason})") from None
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: a number or date that is none
         raise UsageError(f"{path}: not valid YAML ({' '.join(str(error).split())})") from None
     if document is None:
         return {}
@@ -125,8 +125,8 @@ def _from_settings(settings: Iterable[str]) -> Nested:
 def _value(text: str, origin: str) -> Any:
     try:
         return yaml.safe_load(text)
-    except yaml.YAMLError:
-        raise UsageError(f"{origin}: {text!r} is not a YAML value") from None
+    except (yaml.YAMLError, ValueError, RecursionError):
+        raise UsageError(f"{origin}: {text[:80]!r} is not a YAML value") from None
 
 
 def _nest(pairs: Iterable[tuple[str, Any]]) -> Nested:

@@ -78,6 +78,16 @@ def test_bad_files_are_named(tmp_path: Path, content: str, text: str) -> None:
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("value", ["9" * 5000, "[" * 5000, "2024-99-99"])
+def test_yaml_that_python_cannot_hold_is_wrong_usage(tmp_path: Path, value: str) -> None:
+    with pytest.raises(UsageError, match="not a YAML value"):
+        resolve_config(Config(), settings=[f"tracking.size_ratio={value}"], environment={})
+    path = tmp_path / "run.yaml"
+    path.write_text(f"tracking:\n  size_ratio: {value}\n")
+    with pytest.raises(UsageError, match="not valid YAML"):
+        resolve_config(Config(), path, environment={})
+
+
 def test_a_missing_file_and_a_binary_one(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="No such file"):
         resolve_config(Config(), tmp_path / "none.yaml", environment={})

@@ -22,7 +22,7 @@ def parse_scenario(text: str, source: str = "scenario") -> Scenario:
         raise UsageError(f"{source}: longer than {MAX_SCENARIO_CHARACTERS} characters, this is no scenario file")
     try:
         data = yaml.safe_load(text)
-    except (yaml.YAMLError, RecursionError) as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         mark = getattr(error, "problem_mark", None)
         where = f":{mark.line + 1}" if mark is not None else ""
         problem = getattr(error, "problem", None) or "cannot be parsed"

@@ -102,7 +102,9 @@ class Terrain(StageConfig):
     size_m: Length = Field(100.0, description="Side of the square of ground.")
     slope_deg: Annotated[float, Field(ge=0, le=45)] = 0.0
     uphill_deg: float = Field(0.0, description="Azimuth of the slope's rise, from x towards y.")
-    amplitude_m: NonNegative = Field(0.1, description="Bumps: largest height above or below the plane.")
+    amplitude_m: Annotated[float, Field(ge=0, le=1000)] = Field(
+        0.1, description="Bumps: largest height above or below the plane."
+    )
     wavelength_m: Length = Field(3.0, description="Bumps: shortest wavelength; the longest is four times it.")
     cell_m: Length = Field(0.25, description="Bumps: side of the mesh's cells.")
 
