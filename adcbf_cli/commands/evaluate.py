@@ -125,13 +125,11 @@ def possible_metrics(config: EvaluationConfig) -> list[str]:
 
 def _place(place_truth: PlaceTruth, job: Job, outcome: Outcome, config: EvaluationConfig, notes: Notes) -> Truth:
     """The truth at the run's frames, in its world."""
-    import pyarrow.parquet as pq
-
     from adcbf_cli.core.evaluation.scene import truth_in_world
-    from adcbf_cli.io.tables import read_clusters
+    from adcbf_cli.io.tables import read_clusters, read_table
     from adcbf_cli.io.truth import TruthContext
 
-    frames = pq.read_table(outcome.folder.table("frames"), columns=["frame_index", "timestamp_ns"])
+    frames = read_table(outcome.folder.table("frames"), columns=["frame_index", "timestamp_ns"])
     context = TruthContext(
         frame_index=frames["frame_index"].to_numpy(),
         stamp_ns=frames["timestamp_ns"].to_numpy(),

@@ -75,9 +75,9 @@ def _mean(table: Any, column: str, digits: int = 1) -> float | None:
 
 
 def _cluster_facts(folder: RunFolder) -> list[tuple[str, Any, str]]:
-    import pyarrow.parquet as pq
+    from adcbf_cli.io.tables import read_table
 
-    frames = pq.read_table(
+    frames = read_table(
         folder.table("frames"),
         columns=["timestamp_ns", "points_read", "points_in_range", "points_clustered", "clusters"],
     )
@@ -95,9 +95,10 @@ def _cluster_facts(folder: RunFolder) -> list[tuple[str, Any, str]]:
 
 def _track_facts(folder: RunFolder) -> list[tuple[str, Any, str]]:
     import pyarrow.compute as pc
-    import pyarrow.parquet as pq
 
-    tracks = pq.read_table(folder.table("tracks"), columns=["track_id", "status", "is_static", "age_s"])
+    from adcbf_cli.io.tables import read_table
+
+    tracks = read_table(folder.table("tracks"), columns=["track_id", "status", "is_static", "age_s"])
     confirmed = tracks.filter(pc.equal(tracks["status"], "confirmed"))
     each = confirmed.group_by("track_id", use_threads=False).aggregate([("is_static", "max"), ("age_s", "max")])
     longest = pc.max(each["age_s_max"]).as_py()
@@ -110,11 +111,10 @@ def _track_facts(folder: RunFolder) -> list[tuple[str, Any, str]]:
 
 def _prediction_facts(folder: RunFolder) -> list[tuple[str, Any, str]]:
     import pyarrow.compute as pc
-    import pyarrow.parquet as pq
 
-    rows = pq.read_table(
-        folder.table("predictions"), columns=["track_id", "step", "sigma_radius_m", "conformal_radius_m"]
-    )
+    from adcbf_cli.io.tables import read_table
+
+    rows = read_table(folder.table("predictions"), columns=["track_id", "step", "sigma_radius_m", "conformal_radius_m"])
     if not len(rows):
         return [("predictions", 0, "")]
     last = rows.filter(pc.equal(rows["step"], pc.max(rows["step"])))
@@ -130,9 +130,9 @@ _FACTS = {"cluster": _cluster_facts, "track": _track_facts, "predict": _predicti
 
 
 def _times(folder: RunFolder) -> dict[str, float]:
-    import pyarrow.parquet as pq
+    from adcbf_cli.io.tables import read_table
 
-    table = pq.read_table(folder.table("timings"))
+    table = read_table(folder.table("timings"), columns=["frame_index", "stage", "time_ms"])
     frames = len(set(table["frame_index"].to_pylist())) or 1
     sums = table.group_by("stage", use_threads=False).aggregate([("time_ms", "sum")])
     return {row["stage"]: round(row["time_ms_sum"] / frames, 2) for row in sums.to_pylist()}

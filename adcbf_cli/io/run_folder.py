@@ -23,7 +23,7 @@ from pydantic import ValidationError
 import adcbf_cli
 from adcbf_cli.core.config import Config
 from adcbf_cli.core.errors import AdcbfError
-from adcbf_cli.core.types import Loss, Notes
+from adcbf_cli.core.types import Loss
 from adcbf_cli.io.atomic import remove_leftovers, write_text_atomically
 from adcbf_cli.io.log_base import printable
 from adcbf_cli.io.settings import first_problem
@@ -75,9 +75,6 @@ class StageRecord:
     warnings: list[str] = field(default_factory=list)
     losses: list[Loss] = field(default_factory=list)
     counters: dict[str, int] = field(default_factory=dict)
-
-    def notes(self) -> Notes:
-        return Notes(list(self.warnings), list(self.losses), dict(self.counters))
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -23,8 +24,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from adcbf_cli.core import frames as se3
+from adcbf_cli.core.errors import AdcbfError
 from adcbf_cli.core.types import NO_ID, Clusters, PointCounts, Predictions, Tracks, TrackStatus
 from adcbf_cli.io.atomic import atomic_path
+from adcbf_cli.io.log_base import printable
 
 SCHEMA_VERSION = 1
 METADATA_KEY = b"adcbf"
@@ -280,22 +283,45 @@ def timing_columns(stamp_ns: int, frame_index: int, spent_ns: Mapping[str, int])
 
 
 def table_metadata(path: Path) -> dict[str, Any] | None:
-    """What the table says about itself, or None if it is missing, foreign or damaged."""
+    """What the table says about itself, or None if it is missing, foreign or damaged, or has not its name's columns."""
     try:
-        stored = pq.read_schema(path).metadata or {}
-        metadata = json.loads(stored.get(METADATA_KEY, b"null"))
-    except (OSError, pa.ArrowInvalid, ValueError):
+        schema = pq.read_schema(path)
+        metadata = json.loads((schema.metadata or {}).get(METADATA_KEY, b"null"))
+    except (OSError, pa.ArrowException, ValueError):
+        return None
+    expected = SCHEMAS.get(path.stem)
+    if expected is None or not schema.equals(expected):
         return None
     return metadata if isinstance(metadata, dict) else None
+
+
+def read_table(path: Path, columns: list[str]) -> pa.Table:
+    """These columns of a table. AdcbfError where it is damaged."""
+    with _told_as_damage(path):
+        return pq.read_table(path, columns=columns)
+
+
+def _batches(path: Path, **options: Any) -> Iterator[pa.RecordBatch]:
+    """A table's rows, a batch at a time. AdcbfError where it is damaged."""
+    with _told_as_damage(path):
+        yield from pq.ParquetFile(path).iter_batches(**options)
+
+
+@contextmanager
+def _told_as_damage(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except (OSError, pa.ArrowException) as error:
+        reason = printable(" ".join(str(error).split())[:120])
+        raise AdcbfError(f"{path}: damaged ({reason}); --force computes it anew") from None
 
 
 class _Rows:
     """A table's rows, read in batches, handed out frame by frame as dicts of numpy arrays."""
 
     def __init__(self, path: Path) -> None:
-        file = pq.ParquetFile(path)
-        self._batches = iter(file.iter_batches(batch_size=ROWS_PER_GROUP))
-        self._rest = file.schema_arrow.empty_table()
+        self._batches = _batches(path, batch_size=ROWS_PER_GROUP)
+        self._rest = SCHEMAS[path.stem].empty_table()
         self._index = np.zeros(0, dtype=np.int32)
 
     def of(self, frame_index: int) -> pa.Table:
@@ -326,7 +352,7 @@ def _matrix(rows: pa.Table, name: str) -> np.ndarray:
 
 def _frame_rows(path: Path) -> Iterator[tuple[dict[str, Any], np.ndarray]]:
     """Rows of `frames` with each frame's world_from_sensor."""
-    for batch in pq.ParquetFile(path).iter_batches():
+    for batch in _batches(path):
         for row in batch.to_pylist():
             pose = [row[name] for name in _POSE]
             yield row, se3.pose_matrix(np.array(pose[:3]), np.array(pose[3:]))
@@ -419,11 +445,6 @@ def read_predictions(folder: Path) -> Iterator[Predictions]:
 
 
 def _first_value(path: Path, column: str) -> Any:
-    for batch in pq.ParquetFile(path).iter_batches(batch_size=1, columns=[column]):
+    for batch in _batches(path, batch_size=1, columns=[column]):
         return batch.column(0)[0].as_py()
     return None
-
-
-def rows_in(path: Path) -> int:
-    """The number of rows of a table that is known to be whole."""
-    return int(pq.ParquetFile(path).metadata.num_rows)

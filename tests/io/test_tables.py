@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from adcbf_cli.core.errors import AdcbfError
 from adcbf_cli.core.types import NO_ID
 from adcbf_cli.io import tables
 from adcbf_cli.io.tables import TableWriter
@@ -150,3 +151,28 @@ def test_rows_that_wait_take_the_memory_of_their_numbers_and_little_more(tmp_pat
     read = pq.ParquetFile(tmp_path / "frames.parquet")
     assert read.num_row_groups == 1
     assert read.read()["frame_index"].to_pylist() == list(range(len(records)))
+
+
+def test_a_table_whose_pages_are_damaged_is_told_in_one_line(tmp_path: Path) -> None:
+    """Its footer is whole, so that only reading finds it."""
+    path = tmp_path / "timings.parquet"
+    with TableWriter(path, "timings", {"key": "k"}) as writer:
+        for frame in range(300):
+            writer.write(tables.timing_columns(frame, frame, {"read": frame * 1_000_003}))
+    data = bytearray(path.read_bytes())
+    data[4 : len(data) // 3] = bytes(len(data) // 3 - 4)
+    path.write_bytes(data)
+    assert tables.table_metadata(path) is not None
+    with pytest.raises(AdcbfError, match=r"damaged .*--force") as error:
+        tables.read_table(path, ["time_ms", "frame_index"])
+    assert "\n" not in str(error.value)
+
+
+def test_a_table_of_other_columns_is_foreign_whatever_its_key(tmp_path: Path) -> None:
+    with TableWriter(tmp_path / "tracks.parquet", "tracks", {"key": "k"}):
+        pass
+    path = tmp_path / "tracks.parquet"
+    table = pq.read_table(path)
+    assert tables.table_metadata(path) is not None
+    pq.write_table(table.drop_columns(["nis"]).replace_schema_metadata(table.schema.metadata), path)
+    assert tables.table_metadata(path) is None
