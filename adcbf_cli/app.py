@@ -5,6 +5,7 @@ Command modules import nothing heavy at their top, so that `adcbf --help` answer
 
 from __future__ import annotations
 
+import signal
 import sys
 from typing import Annotated
 
@@ -49,8 +50,14 @@ def _global_options(
     pass
 
 
+def _terminate(signal_number: int, _frame: object) -> None:
+    """Leaves by way of every `with` and `finally`, so that no temporary file stays."""
+    sys.exit(128 + signal_number)
+
+
 def main() -> None:
     """The console entry point."""
+    signal.signal(signal.SIGTERM, _terminate)
     try:
         app()
     except AdcbfError as error:

@@ -123,7 +123,12 @@ def run_stages(job: Job, upto: str, force: bool = False) -> Outcome:
         manifest = _manifest_so_far(job, valid)
         if todo:
             _remove_outdated(job.folder, valid)
-            manifest = _compute(job, manifest, keys, todo)
+            try:
+                manifest = _compute(job, manifest, keys, todo)
+            except BaseException:
+                # Of several tables some may have been finished before the failure: no manifest lists them.
+                _remove_outdated(job.folder, valid)
+                raise
         notes = _together([manifest.stages[stage] for stage in wanted])
         return Outcome(job.folder, manifest, todo, notes)
 

@@ -79,6 +79,8 @@ def holds_scans(path: Path) -> bool:
 
 def _kind(path: Path) -> str:
     """'mcap', 'bag', 'sqlite' or 'pcd' by a file's first bytes. Raises AdcbfError for anything else."""
+    if path.exists() and not path.is_file():
+        raise AdcbfError(f"{path} is neither a file nor a folder; {_NOT_A_LOG}")
     try:
         with path.open("rb") as file:
             head = file.read(64)

@@ -54,6 +54,8 @@ def recognise(path: Path) -> Recognised:
         raise AdcbfError(f"{path} is a folder without logs; {READS}: give it the folder that holds the files")
     if not path.exists():
         raise AdcbfError(f"{path} does not exist")
+    if not path.is_file():
+        raise AdcbfError(f"{path} is neither a file nor a folder; {READS}")
     head = first_bytes(path, 16)
     if not head:
         raise AdcbfError(f"{path} is empty")

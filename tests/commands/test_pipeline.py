@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import random
+import resource
 import signal
 import subprocess
 import sys
@@ -165,6 +166,41 @@ def test_a_calibration_learned_on_one_log_serves_another(log: Path, tmp_path: Pa
     rows = pq.read_table(folder / "predictions.parquet")
     first_frame = rows.filter(rows["frame_index"].to_numpy() == rows["frame_index"][0].as_py())
     assert first_frame["conformal_radius_m"].null_count == 0, "radii are there from the first frame on"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_command_told_to_stop_clears_up(log: Path, tmp_path: Path, number: signal.Signals) -> None:
+    folder = tmp_path / "run"
+    command = [sys.executable, "-m", "adcbf_cli", "run", str(log), "-o", str(folder)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        while running.poll() is None and not list(folder.glob(".*.partial")):
+            time.sleep(0.01)
+        running.send_signal(number)
+        _, errors = running.communicate()
+    assert running.returncode in (1, 130, 128 + signal.SIGTERM), errors
+    assert "Traceback" not in errors
+    assert [path.name for path in folder.iterdir()] == [".lock"]
+
+
+def test_a_full_disk_leaves_no_table_behind(log: Path, tmp_path: Path) -> None:
+    """No file may exceed 20 kB here: some tables are finished before the largest one fails."""
+    folder = tmp_path / "run"
+    done = subprocess.run(
+        [sys.executable, "-m", "adcbf_cli", "run", str(log), "-o", str(folder)],
+        capture_output=True,
+        text=True,
+        preexec_fn=_small_files_only,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert done.stderr.count("adcbf: error") == 1, done.stderr
+    assert "Traceback" not in done.stderr
+    assert [path.name for path in folder.iterdir()] == [".lock"]
+
+
+def _small_files_only() -> None:
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 
 
 def test_what_the_end_needs_is_checked_at_the_beginning(log: Path, tmp_path: Path) -> None:

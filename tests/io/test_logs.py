@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sqlite3
 import struct
@@ -19,6 +20,7 @@ from adcbf_cli.core.errors import AdcbfError, UsageError
 from adcbf_cli.core.types import Notes
 from adcbf_cli.io.log_base import Connection, Message, merge_lazily
 from adcbf_cli.io.logs import log_files, open_log
+from adcbf_cli.io.recognition import recognise
 from adcbf_cli.io.rosbag2_log import split_files
 
 T0 = 1_700_000_000_000_000_000
@@ -394,6 +396,13 @@ def test_what_is_no_log_is_told_in_one_line(tmp_path: Path, name: str, content: 
     with pytest.raises(AdcbfError, match=words) as caught:
         open_log(path, Notes())
     assert "\n" not in str(caught.value)
+
+
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for look in (log_files, recognise):
+        with pytest.raises(AdcbfError, match="neither a file nor a folder"):
+            look(tmp_path / "pipe")
 
 
 def test_a_path_that_is_not_there(tmp_path: Path) -> None:
