@@ -103,8 +103,8 @@ class Manifest:
         if document["schema_version"] != SCHEMA_VERSION:
             raise OutdatedRunError(f"schema version {document['schema_version']}, this adcbf reads {SCHEMA_VERSION}")
         source = document["source"]
-        if not isinstance(document["selection"], dict):
-            raise ValueError("its selection is no mapping")
+        if not isinstance(document["selection"], dict) or not isinstance(source["path"], str):
+            raise TypeError("its selection is no mapping, or its source has no path")
         return Manifest(
             source=Source(source["path"], source["sha256"], tuple(SourceFile(**f) for f in source["files"])),
             selection=document["selection"],

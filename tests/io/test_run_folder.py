@@ -117,6 +117,18 @@ def test_another_versions_run_is_made_anew_from_the_log(tmp_path: Path, edit: tu
     assert not folder.has_valid("cluster", "k")
 
 
+@pytest.mark.parametrize(
+    ("old", "new"), [('"path": "../log.mcap"', '"path": 5'), ('"selection": {', '"selection": 1, "else": {')]
+)
+def test_a_manifest_edited_into_nonsense_is_one_clear_line(tmp_path: Path, old: str, new: str) -> None:
+    RunFolder(tmp_path).write_manifest(manifest())
+    path = tmp_path / "run.json"
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(AdcbfError, match="unreadable"):
+        RunFolder(tmp_path).manifest()
+
+
 def test_no_manifest_is_no_run_folder(tmp_path: Path) -> None:
     with pytest.raises(AdcbfError, match="not a run folder"):
         RunFolder(tmp_path).manifest()
