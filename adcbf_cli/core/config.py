@@ -10,8 +10,12 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0, le=1e6)]
+NonNegative = Annotated[float, Field(ge=0, le=1e6)]
+AtLeastThousandth = Annotated[float, Field(ge=1e-3, le=1e6)]
+"""For what others are divided by: no millisecond or millimetre is finer in any log. The upper bounds keep
+seconds, as nanoseconds and times a thousand steps, within int64."""
+
 Probability = Annotated[float, Field(gt=0, lt=1)]
 
 
@@ -57,7 +61,7 @@ class PerceptionConfig(StageConfig):
         None, description="LiDAR above ground; null: estimated from the log's first scans."
     )
     ground_clearance_m: NonNegative = Field(0.15, description="Points this little above the local ground are ground.")
-    cell_m: Positive = Field(0.1, description="Side of the grid cells that thin the cloud.")
+    cell_m: AtLeastThousandth = Field(0.1, description="Side of the grid cells that thin the cloud.")
     clusterer: Literal["hdbscan", "dbscan"] = "hdbscan"
     min_cluster_size: Annotated[int, Field(ge=2)] = Field(5, description="Grid cells of the smallest obstacle.")
     planar_min_cluster_size: Annotated[int, Field(ge=2)] = Field(
@@ -155,7 +159,7 @@ class PredictionConfig(StageConfig):
     """From tracks to where they will be."""
 
     steps: Annotated[int, Field(ge=1, le=1000)] = 30
-    step_s: Positive = 0.1
+    step_s: AtLeastThousandth = 0.1
     probability: Probability = Field(0.95, description="Coverage of the ellipse and of the conformal radius.")
     calibration: Literal["none", "past", "file"] = Field("past", description="Where conformal residuals come from.")
     calibration_window: Annotated[int, Field(ge=10, le=1_000_000)] = Field(
@@ -193,7 +197,9 @@ class EvaluationConfig(StageConfig):
         "false; null: what the source says (label files: yes, a single object's poses: no).",
     )
     truth_first_frame: int = Field(0, description="KITTI labels: the label frame of the log's first scan.")
-    bootstrap_block_s: Positive = Field(5.0, description="Length of the time blocks that intervals are drawn over.")
+    bootstrap_block_s: AtLeastThousandth = Field(
+        5.0, description="Length of the time blocks that intervals are drawn over."
+    )
 
 
 class Config(StageConfig):

@@ -88,6 +88,13 @@ def test_yaml_that_python_cannot_hold_is_wrong_usage(tmp_path: Path, value: str)
         resolve_config(Config(), path, environment={})
 
 
+@pytest.mark.parametrize("key", ["prediction.step_s", "perception.cell_m", "evaluation.bootstrap_block_s"])
+@pytest.mark.parametrize("value", ["1.0e+300", "1.0e-300", "0", ".inf"])
+def test_what_no_clock_and_no_grid_can_hold_is_refused(key: str, value: str) -> None:
+    with pytest.raises(UsageError, match=key):
+        resolve_config(Config(), settings=[f"{key}={value}"], environment={})
+
+
 def test_a_missing_file_and_a_binary_one(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="No such file"):
         resolve_config(Config(), tmp_path / "none.yaml", environment={})
