@@ -204,11 +204,17 @@ def _small_files_only() -> None:
 
 
 def test_what_the_end_needs_is_checked_at_the_beginning(log: Path, tmp_path: Path) -> None:
-    bad = tmp_path / "bad.json"
+    bad, endless = tmp_path / "bad.json", tmp_path / "endless.json"
     bad.write_text("{}")
+    group = '{"radius_m": [1.0], "samples": [1e999]}'
+    endless.write_text(
+        '{"format": "adcbf-calibration-1", "probability": 0.95, "step_s": 0.1, "source": "", '
+        f'"groups": {{"moving": {group}, "static": {group}}}}}'
+    )
     folder = tmp_path / "run"
     for option, file, code in (
         ("--calibration", bad, 1),
+        ("--calibration", endless, 1),
         ("--save-calibration", tmp_path / "absent" / "c.json", 2),
         ("--save-calibration", tmp_path, 2),
     ):

@@ -69,7 +69,7 @@ class Calibration:
             radius = np.array([[math.nan if r is None else float(r) for r in g["radius_m"]] for g in groups])
             samples = np.array([[int(s) for s in g["samples"]] for g in groups], dtype=np.int64)
             result = cls(float(data["probability"]), float(data["step_s"]), radius, samples, str(data["source"]))
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise AdcbfError(f"not a calibration file ({error}); make one with `adcbf predict`") from error
         result._check()
         return result
