@@ -65,10 +65,10 @@ class PerceptionConfig(StageConfig):
     clusterer: Literal["hdbscan", "dbscan"] = "hdbscan"
     min_cluster_size: Annotated[int, Field(ge=2)] = Field(5, description="Grid cells of the smallest obstacle.")
     planar_min_cluster_size: Annotated[int, Field(ge=2)] = Field(
-        3, description="The same for a 2-D laser, where a leg is three or four beams."
+        2, description="The same for a 2-D laser, where a leg is two cells."
     )
     min_samples: Annotated[int, Field(ge=1)] = Field(
-        3, description="A point's density is the distance to this neighbour, itself counted."
+        2, description="A point's density is the distance to this neighbour, itself counted."
     )
     min_gap_m: NonNegative = Field(
         0.3, description="HDBSCAN: nearer clusters stay one, as two legs or a car's parts do."
