@@ -175,6 +175,9 @@ def _no_lidar(all_types: dict[str, str]) -> str:
             f"the log's LiDAR topic {topic} holds raw packets ({kind}), not point clouds; "
             f"decode them first with {raw_packet_driver(kind)}, recording its PointCloud2 topic"
         )
+    silent = [topic for topic, kind in sorted(all_types.items()) if kind in LIDAR_TYPES]
+    if silent:
+        return f"the log's LiDAR topic {silent[0]} has no messages"
     listed = ", ".join(f"{topic} ({kind.rsplit('/', 1)[-1]})" for topic, kind in sorted(all_types.items()))
     return (
         f"the log holds no LiDAR topic (PointCloud2, LaserScan or Livox CustomMsg); its topics are: {listed or 'none'}"

@@ -92,3 +92,8 @@ def test_equally_good_poses_are_listed() -> None:
     for asked in ("/blue_pose", "/scan"):
         with pytest.raises(UsageError, match="possible are: /red_pose, /ego_pose, tf, none"):
             choose_pose(found, asked, {**types(found), "/scan": SCAN}, True)
+
+
+def test_a_lidar_topic_without_messages_is_named() -> None:
+    with pytest.raises(AdcbfError, match="LiDAR topic /points has no messages"):
+        choose_lidar((), {"/points": "sensor_msgs/msg/PointCloud2", "/odom": "nav_msgs/msg/Odometry"}, ())
