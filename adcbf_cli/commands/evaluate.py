@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -175,11 +176,21 @@ def _print_report(folder: Path, report: Report) -> None:
     say(f"all {len(report.metrics)} metrics and their definitions: {folder / MARKDOWN_NAME}")
 
 
+_HEADLINES = re.compile(
+    r"clustering\.(rmse_m|bias_along_m|bias_across_m)"
+    r"|tracking\.(rmse_x_m|rmse_y_m|rmse_sight_corrected_m|rmse_body_corrected_m|nees|coverage_95)"
+    r"|prediction\.(rmse_x_m|rmse_y_m|rmse_still_x_m|rmse_still_y_m|[af]de_m\..*)"
+    r"|prediction\.(coverage_95|coverage_conformal_radius)"
+    r"|detection\.(recall.*|track_recall|moving_precision)"
+    r"|clear\.(mota|motp_m|misses|false_positives|switches)|hota\.hota"
+    r"|clusters\.per_frame|tracks\.(confirmed|life_s\.median|static_share)"
+)
+_HEADLINES_WITHOUT_TRUTH = re.compile(
+    r"later_seen\.(moving\.)?(rmse_x_m|rmse_y_m|fde_m\..*|coverage_95|coverage_conformal_radius)"
+    r"|clusters\.per_frame|tracks\.(created|confirmed|life_s.*|static_share|coasting_share|speed_mps.*)"
+)
+
+
 def _is_headline(name: str, with_truth: bool) -> bool:
-    """Leaves out details by horizon, and what a better reference makes secondary."""
-    if with_truth and name.startswith("later_seen"):
-        return False
-    if name.endswith(("corrected_x_m", "corrected_y_m")) and not name.startswith("prediction"):
-        return False
-    by_horizon = name.endswith("s") and name.rpartition(".")[2][:-1].isdigit()
-    return not by_horizon or ".ade_m." in name or ".fde_m." in name
+    """What fits a screen: report.md has the rest."""
+    return (_HEADLINES if with_truth else _HEADLINES_WITHOUT_TRUTH).fullmatch(name) is not None
