@@ -85,6 +85,8 @@ def plan_job(shared: Shared, overrides: dict[str, Any] | None = None, calibratio
         folder = RunFolder(shared.source)
         manifest = folder.manifest()
         config = resolve_config(manifest.config, shared.config, shared.settings or (), overrides)
+        if calibration is None and config.prediction.calibration == "file":
+            calibration = manifest.calibration
         return Job(folder.path / manifest.source.path, folder, manifest.source, config, calibration)
 
     from adcbf_cli.io.logs import log_files
@@ -137,8 +139,9 @@ def _manifest_so_far(job: Job, valid: list[str]) -> Manifest:
     """The folder's manifest with the stages that are still valid, or a new one."""
     old = job.folder.usable_manifest()
     if old is None:
-        return Manifest(job.source, {}, job.config, {})
-    return replace(old, source=job.source, config=job.config, stages={name: old.stages[name] for name in valid})
+        return Manifest(job.source, {}, job.config, {}, job.calibration)
+    stages = {name: old.stages[name] for name in valid}
+    return replace(old, source=job.source, config=job.config, stages=stages, calibration=job.calibration)
 
 
 def _remove_outdated(folder: RunFolder, valid: list[str]) -> None:

@@ -85,6 +85,8 @@ class Manifest:
     selection: dict[str, Any]
     config: Config
     stages: dict[str, StageRecord]
+    calibration: str | None = None
+    """The calibration file's text, where one was given: later commands on the folder use it again."""
 
     def to_json(self) -> str:
         document = {
@@ -93,6 +95,7 @@ class Manifest:
             "source": asdict(self.source),
             "selection": self.selection,
             "config": self.config.model_dump(mode="json"),
+            "calibration": self.calibration,
             "stages": {name: asdict(record) for name, record in self.stages.items()},
         }
         return json.dumps(document, indent=2, sort_keys=True) + "\n"
@@ -105,6 +108,8 @@ class Manifest:
         source = document["source"]
         if not isinstance(document["selection"], dict) or not isinstance(source["path"], str):
             raise TypeError("its selection is no mapping, or its source has no path")
+        if not isinstance(document.get("calibration"), str | None):
+            raise TypeError("its calibration is no text")
         return Manifest(
             source=Source(source["path"], source["sha256"], tuple(SourceFile(**f) for f in source["files"])),
             selection=document["selection"],
@@ -113,6 +118,7 @@ class Manifest:
                 name: StageRecord(**{**record, "losses": [Loss(**loss) for loss in record["losses"]]})
                 for name, record in document["stages"].items()
             },
+            calibration=document.get("calibration"),
         )
 
 

@@ -163,6 +163,9 @@ def test_a_calibration_learned_on_one_log_serves_another(log: Path, tmp_path: Pa
     folder, file = tmp_path / "a.adcbf", tmp_path / "calibration.json"
     assert adcbf("predict", log, "-o", folder, *RANGE, "--save-calibration", file).returncode == 0
     assert adcbf("predict", folder, "--calibration", file).returncode == 0
+    again = json.loads(adcbf("predict", folder, "--json").stdout)
+    assert again["computed"] == [], "the folder keeps its calibration"
+    assert adcbf("evaluate", folder).returncode == 0
     rows = pq.read_table(folder / "predictions.parquet")
     first_frame = rows.filter(rows["frame_index"].to_numpy() == rows["frame_index"][0].as_py())
     assert first_frame["conformal_radius_m"].null_count == 0, "radii are there from the first frame on"
