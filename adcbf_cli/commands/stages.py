@@ -38,7 +38,7 @@ from adcbf_cli.io.run_folder import (
     identify_source,
     stage_keys,
 )
-from adcbf_cli.io.settings import resolve_config
+from adcbf_cli.io.settings import read_text, resolve_config
 from adcbf_cli.io.tables import TableWriter
 
 if TYPE_CHECKING:
@@ -60,6 +60,7 @@ class Job:
     source: Source
     config: Config
     calibration: str | None
+    hashed_now: bool
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ class Outcome:
 def plan_job(shared: Shared, overrides: dict[str, Any] | None = None, calibration_file: Path | None = None) -> Job:
     """Reads the shared options: a log starts from the defaults, a run folder from its own settings."""
     overrides = {**shared.overrides(), **(overrides or {})}
-    calibration = None if calibration_file is None else read_small_text(calibration_file)
+    calibration = None if calibration_file is None else read_text(calibration_file)
     if calibration is not None:
         _parse_calibration(calibration)
     if RunFolder.is_one(shared.source):
@@ -87,7 +88,7 @@ def plan_job(shared: Shared, overrides: dict[str, Any] | None = None, calibratio
         config = resolve_config(manifest.config, shared.config, shared.settings or (), overrides)
         if calibration is None and config.prediction.calibration == "file":
             calibration = manifest.calibration
-        return Job(folder.path / manifest.source.path, folder, manifest.source, config, calibration)
+        return Job(folder.path / manifest.source.path, folder, manifest.source, config, calibration, hashed_now=False)
 
     from adcbf_cli.io.logs import log_files
 
@@ -95,22 +96,13 @@ def plan_job(shared: Shared, overrides: dict[str, Any] | None = None, calibratio
     files = log_files(shared.source)
     folder = RunFolder(shared.output or Path(f"{log_stem(shared.source)}.adcbf"))
     source = identify_source(os.path.relpath(shared.source, folder.path), files)
-    return Job(shared.source, folder, source, config, calibration)
+    return Job(shared.source, folder, source, config, calibration, hashed_now=True)
 
 
 def log_stem(log: Path) -> str:
     """The name that a log's run folder is made from: the file's without its suffix."""
     resolved = log.resolve()
     return resolved.name if resolved.is_dir() else resolved.stem
-
-
-def read_small_text(path: Path) -> str:
-    """A file that the user names beside the log (settings, calibration), as text."""
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not a text file"
-        raise UsageError(f"{path}: cannot be read ({reason})") from None
 
 
 def run_stages(job: Job, upto: str, force: bool = False) -> Outcome:
@@ -203,7 +195,7 @@ def _open_reader(job: Job, notes: Notes) -> FrameReader:
 
     if not job.log.exists():
         raise AdcbfError(f"{job.log}: this log is gone, and the run folder lacks what would be computed from it")
-    if identify_source(job.source.path, log_files(job.log)).sha256 != job.source.sha256:
+    if not job.hashed_now and identify_source(job.source.path, log_files(job.log)).sha256 != job.source.sha256:
         raise AdcbfError(f"{job.log}: has changed since {job.folder.path} was made; run on the log itself")
     return FrameReader(job.log, job.config.read, notes)
 

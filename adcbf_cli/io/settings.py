@@ -68,6 +68,15 @@ def first_problem(error: ValidationError, prefix: str = "") -> str:
     return f"{prefix}{where}: {finding['msg'][0].lower()}{finding['msg'][1:]}{got}"
 
 
+def read_text(path: Path) -> str:
+    """A file that the user names beside the log (settings, calibration), as text."""
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not a text file"
+        raise UsageError(f"{path}: cannot be read ({reason})") from None
+
+
 def nearest(word: str, words: Iterable[str]) -> str:
     """` did you mean X?`, or nothing where no word is close."""
     close = difflib.get_close_matches(word, list(words), n=1, cutoff=0.5)
@@ -85,11 +94,9 @@ def _merge(values: dict[str, Any], more: Nested, origin: str) -> None:
 
 
 def _from_file(path: Path) -> Nested:
+    text = read_text(path)
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not a text file"
-        raise UsageError(f"{path}: cannot be read ({reason})") from None
+        document = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: a number or date that is none
         raise UsageError(f"{path}: not valid YAML ({' '.join(str(error).split())})") from None
     if document is None:
