@@ -175,7 +175,14 @@ def test_a_calibration_learned_on_one_log_serves_another(log: Path, tmp_path: Pa
 def test_a_command_told_to_stop_clears_up(log: Path, tmp_path: Path, number: signal.Signals) -> None:
     folder = tmp_path / "run"
     command = [sys.executable, "-m", "adcbf_cli", "run", str(log), "-o", str(folder)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+
+    def hear_interrupts() -> None:
+        # A shell starts its background jobs deaf to SIGINT, and whoever they start inherits that.
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=hear_interrupts
+    ) as running:
         while running.poll() is None and not list(folder.glob(".*.partial")):
             time.sleep(0.01)
         running.send_signal(number)
