@@ -202,6 +202,106 @@ class EvaluationConfig(StageConfig):
     )
 
 
+class VehicleConfig(StageConfig):
+    """The vehicle that plans are made for."""
+
+    kind: Literal["unicycle", "ackermann"] = Field(
+        "unicycle", description="Four-wheel differential drive, or front-wheel steering."
+    )
+    body_radius_m: Positive = Field(0.3, description="The paper's r_c: the circle that holds the vehicle.")
+    min_speed_mps: float = Field(0.0, ge=-100, le=0, description="Negative: it may reverse.")
+    max_speed_mps: Annotated[float, Field(gt=0, le=100)] = 1.0
+    max_accel_mps2: Annotated[float, Field(gt=0, le=100)] = Field(1.0, description="Speeding up and braking.")
+    max_yaw_rate_radps: Annotated[float, Field(gt=0, le=100)] = Field(1.0, description="Unicycle.")
+    max_yaw_accel_radps2: Annotated[float, Field(gt=0, le=1000)] = Field(3.0, description="Unicycle.")
+    wheelbase_m: Positive = Field(0.6, description="Ackermann.")
+    max_steer_rad: Annotated[float, Field(gt=0, lt=1.5)] = Field(0.6, description="Ackermann.")
+    max_steer_rate_radps: Annotated[float, Field(gt=0, le=100)] = Field(1.0, description="Ackermann.")
+
+
+class PlanningConfig(StageConfig):
+    """How plans are made. docs/planning.md says what each setting does in which planner."""
+
+    reference_speed_mps: Annotated[float, Field(gt=0, le=100)] | None = Field(
+        None, description="Speed along the reference; null: 0.75, or the vehicle's top speed if that is lower."
+    )
+    safety_distance_m: NonNegative = Field(0.2, description="The paper's r_s, kept between vehicle and obstacle.")
+    steps: Annotated[int, Field(ge=2, le=200)] = Field(30, description="Horizon N.")
+    step_s: Annotated[float, Field(ge=1e-2, le=5)] = 0.1
+    rate_hz: Annotated[float, Field(ge=0.1, le=1000)] = Field(
+        30.0, description="Planning rate of the replay; each plan's deadline is its inverse."
+    )
+    solver: Literal["sqp", "piqp", "ipopt", "fatrop"] = Field(
+        "sqp", description="sqp: the fast one (piqp: its fallback without Numba); ipopt, fatrop: oracles."
+    )
+    min_iterations: Annotated[int, Field(ge=1)] = 5
+    max_iterations: Annotated[int, Field(ge=1, le=1000)] = Field(10, description="SQP iterations a start.")
+    starts: Annotated[int, Field(ge=1, le=2)] = Field(2, description="1: shifted plan; 2: also the reference.")
+    max_obstacles: Annotated[int, Field(ge=1, le=32)] = Field(
+        16, description="The nearest this many enter the problem; the rest are counted."
+    )
+    obstacle_set: Literal["predicted", "paper"] = Field(
+        "predicted",
+        description="For planners that use predictions. paper: each moving obstacle twice, held and predicted.",
+    )
+    uncertainty: Literal["none", "sigma", "conformal"] = Field(
+        "none", description="What the predicted position's uncertainty adds to an obstacle's radius."
+    )
+    hard: bool = Field(False, description="No slack: what cannot be met is infeasible, and counted.")
+    slack_weight: Positive = Field(1000.0, description="Cost of a barrier violation, per m^2 (L1).")
+    decay_weight: Positive = Field(10.0, description="od-ad-cbf-mpc: cost of (decay - 1)^2.")
+    gamma_fixed: Annotated[float, Field(gt=0, le=1)] = Field(0.1, description="mpc-cbf, d-cbf-mpc.")
+    gamma_form: Literal["cdf", "printed"] = Field("cdf", description="Adaptive gamma: Gaussian CDF, or as printed.")
+    gamma_at: Literal["inside", "previous"] = Field(
+        "inside", description="Adaptive gamma: a function inside the problem, or taken from the previous plan."
+    )
+    gamma_amplitude: Positive = 0.5
+    gamma_distance_m: Positive = 2.0
+    gamma_radius_m: Positive = 0.4
+    gamma_distance_sigma_m: Positive = 0.6
+    gamma_radius_sigma_m: Positive = 0.2
+    gamma_floor: float | None = Field(0.05, ge=0, le=1, description="Lower clip of adaptive gamma; null: none.")
+    gamma_ceiling: float | None = Field(1.0, gt=0, le=10, description="Upper clip of adaptive gamma; null: none.")
+    barrier_form: Literal["product", "printed"] = Field(
+        "product", description="dh >= -gamma h, or the printed dh >= -gamma."
+    )
+    barrier_steps: Annotated[int, Field(ge=1)] | None = Field(
+        None, description="The paper's M_CBF: stages with a barrier; null: all."
+    )
+    accept_invalid_barrier: bool = Field(
+        False, description="Build a barrier that is no class-K function all the same, to see what it does."
+    )
+    weight_position: NonNegative = Field(1.0, description="Tracking the reference, per m^2.")
+    weight_heading: NonNegative = Field(0.1, description="Per rad^2.")
+    weight_speed: NonNegative = Field(0.5, description="Per (m/s)^2.")
+    weight_turn: NonNegative = Field(0.1, description="Turning, per (rad/s)^2 (Ackermann: rad^2).")
+    weight_accel: NonNegative = Field(0.05, description="Smoothness, per (m/s^2)^2.")
+    weight_turn_accel: NonNegative = Field(0.05, description="Per (rad/s^2)^2 (Ackermann: (rad/s)^2).")
+    weight_terminal: NonNegative = Field(5.0, description="Factor on the last stage's position and heading.")
+
+
+class ReplayConfig(StageConfig):
+    """The closed loop of a planner against a recorded world, and how driving is scored."""
+
+    range_m: Positive | None = Field(
+        None, description="The ego knows obstacles within this distance; null: perception.range_m."
+    )
+    goal_tolerance_m: Positive = 0.3
+    timeout_factor: Annotated[float, Field(gt=1, le=100)] = Field(
+        3.0, description="Times the nominal time, after which a run that is not there has failed."
+    )
+    divergence_m: Positive = Field(
+        1.0, description="Ego farther from the log's vehicle than this: the sensor would have seen something else."
+    )
+    near_m: Positive = Field(2.0, description="Surface distance within which an obstacle counts as near (Vel-var).")
+    clearance_m: Positive = Field(0.2, description="Time below this surface distance is reported.")
+    freeze_speed_mps: Positive = Field(0.05, description="Slower than this away from the goal is freezing.")
+    start_offset_m: NonNegative = Field(
+        0.3, description="Seeds other than 0: sideways displacement of the start, sigma."
+    )
+    start_delay_s: NonNegative = Field(2.0, description="Seeds from 1 on: latest start, uniform from 0.")
+
+
 class Config(StageConfig):
     """The whole configuration."""
 
@@ -210,3 +310,6 @@ class Config(StageConfig):
     tracking: TrackingConfig = TrackingConfig()
     prediction: PredictionConfig = PredictionConfig()
     evaluation: EvaluationConfig = EvaluationConfig()
+    vehicle: VehicleConfig = VehicleConfig()
+    planning: PlanningConfig = PlanningConfig()
+    replay: ReplayConfig = ReplayConfig()

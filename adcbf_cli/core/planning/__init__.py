@@ -1,0 +1,1 @@
+"""Planners: barriers, one optimal-control problem, solvers, the fallback ladder, baselines."""

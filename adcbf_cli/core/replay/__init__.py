@@ -1,0 +1,1 @@
+"""Planners against a recorded world: open loop and closed loop."""
