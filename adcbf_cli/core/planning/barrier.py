@@ -10,6 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+from scipy.special import erf, erfc
+
 from adcbf_cli.core.types import FloatArray
 
 
@@ -56,4 +59,17 @@ class Barrier:
 
 def gamma_at(gamma: FixedGamma | AdaptiveGamma, distance_m: FloatArray, radius_m: FloatArray) -> FloatArray:
     """Gamma at centre distances and obstacle radii (broadcast together)."""
-    raise NotImplementedError
+    if isinstance(gamma, FixedGamma):
+        return np.full(np.broadcast_shapes(np.shape(distance_m), np.shape(radius_m)), gamma.value)
+    far = _one_plus_edge(np.asarray(distance_m) - gamma.distance_m, gamma.distance_sigma_m, gamma.form)
+    small = _one_plus_edge(gamma.radius_m - np.asarray(radius_m), gamma.radius_sigma_m, gamma.form)
+    value = np.asarray(gamma.amplitude * far * small)
+    return np.clip(value, gamma.floor, gamma.ceiling) if (gamma.floor, gamma.ceiling) != (None, None) else value
+
+
+def _one_plus_edge(offset_m: FloatArray, sigma_m: float, form: Literal["cdf", "printed"]) -> FloatArray:
+    """1 + E(offset, sigma); E is odd in the offset, so that 1 - E(x) is this at -x."""
+    if form == "printed":
+        return np.asarray(1.0 + erf(offset_m) / (np.sqrt(2.0) * sigma_m))
+    # erfc keeps what 1 + erf would round away far below the edge.
+    return np.asarray(erfc(-offset_m / (np.sqrt(2.0) * sigma_m)))

@@ -1,0 +1,1 @@
+"""Solvers of one planning step, found by name (`base.make_solver`)."""
