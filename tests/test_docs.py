@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from adcbf_cli.io.tables import SCHEMAS
+from adcbf_cli.io.schemas import SCHEMAS
 
 PROJECT = Path(__file__).resolve().parent.parent
 PAGES = [PROJECT / "README.md", *sorted((PROJECT / "docs").glob("*.md"))]

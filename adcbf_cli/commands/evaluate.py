@@ -127,7 +127,8 @@ def possible_metrics(config: EvaluationConfig) -> list[str]:
 def _place(place_truth: PlaceTruth, job: Job, outcome: Outcome, config: EvaluationConfig, notes: Notes) -> Truth:
     """The truth at the run's frames, in its world."""
     from adcbf_cli.core.evaluation.scene import truth_in_world
-    from adcbf_cli.io.tables import read_clusters, read_table
+    from adcbf_cli.io.parquet import read_table
+    from adcbf_cli.io.tables import read_clusters
     from adcbf_cli.io.truth import TruthContext
 
     frames = read_table(outcome.folder.table("frames"), columns=["frame_index", "timestamp_ns"])

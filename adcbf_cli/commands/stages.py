@@ -26,6 +26,7 @@ from adcbf_cli.core.errors import AdcbfError, UsageError
 from adcbf_cli.core.timing import RecordingTimer
 from adcbf_cli.core.types import Clusters, Frame, Notes, Predictions, Tracks
 from adcbf_cli.io import tables
+from adcbf_cli.io.parquet import TableWriter
 from adcbf_cli.io.run_folder import (
     OPTIONAL_TABLES,
     STAGES,
@@ -39,7 +40,6 @@ from adcbf_cli.io.run_folder import (
     stage_keys,
 )
 from adcbf_cli.io.settings import read_text, resolve_config
-from adcbf_cli.io.tables import TableWriter
 
 if TYPE_CHECKING:
     from adcbf_cli.core.prediction.calibration import Calibration

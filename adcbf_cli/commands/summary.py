@@ -75,7 +75,7 @@ def _mean(table: Any, column: str, digits: int = 1) -> float | None:
 
 
 def _cluster_facts(folder: RunFolder) -> list[tuple[str, Any, str]]:
-    from adcbf_cli.io.tables import read_table
+    from adcbf_cli.io.parquet import read_table
 
     frames = read_table(
         folder.table("frames"),
@@ -96,7 +96,7 @@ def _cluster_facts(folder: RunFolder) -> list[tuple[str, Any, str]]:
 def _track_facts(folder: RunFolder) -> list[tuple[str, Any, str]]:
     import pyarrow.compute as pc
 
-    from adcbf_cli.io.tables import read_table
+    from adcbf_cli.io.parquet import read_table
 
     tracks = read_table(folder.table("tracks"), columns=["track_id", "status", "is_static", "age_s"])
     confirmed = tracks.filter(pc.equal(tracks["status"], "confirmed"))
@@ -112,7 +112,7 @@ def _track_facts(folder: RunFolder) -> list[tuple[str, Any, str]]:
 def _prediction_facts(folder: RunFolder) -> list[tuple[str, Any, str]]:
     import pyarrow.compute as pc
 
-    from adcbf_cli.io.tables import read_table
+    from adcbf_cli.io.parquet import read_table
 
     rows = read_table(folder.table("predictions"), columns=["track_id", "step", "sigma_radius_m", "conformal_radius_m"])
     if not len(rows):
@@ -130,7 +130,7 @@ _FACTS = {"cluster": _cluster_facts, "track": _track_facts, "predict": _predicti
 
 
 def _times(folder: RunFolder) -> dict[str, float]:
-    from adcbf_cli.io.tables import read_table
+    from adcbf_cli.io.parquet import read_table
 
     table = read_table(folder.table("timings"), columns=["frame_index", "stage", "time_ms"])
     frames = len(set(table["frame_index"].to_pylist())) or 1

@@ -26,8 +26,8 @@ from adcbf_cli.core.errors import AdcbfError
 from adcbf_cli.core.types import Loss
 from adcbf_cli.io.atomic import remove_leftovers, write_text_atomically
 from adcbf_cli.io.log_base import printable
+from adcbf_cli.io.parquet import SCHEMA_VERSION, table_metadata
 from adcbf_cli.io.settings import first_problem
-from adcbf_cli.io.tables import SCHEMA_VERSION, table_metadata
 
 MANIFEST = "run.json"
 

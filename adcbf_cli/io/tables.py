@@ -1,164 +1,27 @@
-"""The Parquet tables: one row a thing and time, sorted by time, units in the column names.
+"""The perception tables: one row a thing and time, sorted by time.
 
 `frames` has one row a LiDAR frame (also where nothing was seen in it), `clusters` one an obstacle
 and frame, `tracks` one a track and frame, `predictions` one a track, frame and step, `points`
 (optional) one a labelled point, `timings` one a frame and stage.
 
 Records (adcbf_cli.core.types) go in one frame at a time and come back the same way, so neither
-side's memory grows with the log. Id columns hold null for "none"; float columns hold null for "no
-evidence", never NaN.
+side's memory grows with the log. Id columns hold null for "none".
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from adcbf_cli.core import frames as se3
-from adcbf_cli.core.errors import AdcbfError
 from adcbf_cli.core.types import NO_ID, Clusters, PointCounts, Predictions, Tracks, TrackStatus
-from adcbf_cli.io.atomic import atomic_path
-from adcbf_cli.io.log_base import printable
-
-SCHEMA_VERSION = 1
-METADATA_KEY = b"adcbf"
-ROWS_PER_GROUP = 50_000
-PIECES_HELD = 200
-"""So many frames' rows wait as tables of their own; then they become one. A table of one row takes a
-hundred times its numbers' memory."""
-
-_FRAME_KEYS = [("timestamp_ns", pa.int64()), ("frame_index", pa.int32())]
-_POSE = ["sensor_x_m", "sensor_y_m", "sensor_z_m", "sensor_qx", "sensor_qy", "sensor_qz", "sensor_qw"]
-_COUNTS = ["read", "in_range", "smoothed", "above_ground", "clustered"]
-
-
-def _floats(*names: str) -> list[tuple[str, pa.DataType]]:
-    return [(name, pa.float64()) for name in names]
-
-
-SCHEMAS: dict[str, pa.Schema] = {
-    "frames": pa.schema(
-        [
-            *_FRAME_KEYS,
-            *_floats(*_POSE),
-            ("pose_known", pa.bool_()),
-            ("planar", pa.bool_()),
-            *[(f"points_{name}", pa.int32()) for name in _COUNTS],
-            ("clusters", pa.int32()),
-        ]
-    ),
-    "clusters": pa.schema(
-        [
-            *_FRAME_KEYS,
-            ("cluster_id", pa.int32()),
-            *_floats("x_m", "y_m", "z_m", "sensor_frame_x_m", "sensor_frame_y_m", "sensor_frame_z_m"),
-            *_floats("radius_m", "height_m", "length_m", "width_m", "yaw_rad"),
-            ("points", pa.int32()),
-            *_floats("probability"),
-            ("split_from", pa.int32()),
-        ]
-    ),
-    "points": pa.schema([*_FRAME_KEYS, *_floats("x_m", "y_m", "z_m"), ("cluster_id", pa.int32())]),
-    "tracks": pa.schema(
-        [
-            *_FRAME_KEYS,
-            ("track_id", pa.int64()),
-            ("status", pa.string()),
-            *_floats("x_m", "y_m", "z_m", "vx_mps", "vy_mps", "vz_mps", "cov_xx_m2", "cov_xy_m2", "cov_yy_m2"),
-            *_floats("radius_m", "height_m"),
-            ("is_static", pa.bool_()),
-            ("cluster_id", pa.int32()),
-            *_floats("age_s"),
-            ("hits", pa.int32()),
-            ("misses", pa.int32()),
-            *_floats("nis", "manoeuvre_probability"),
-            ("model", pa.string()),
-            ("state", pa.list_(pa.float64())),
-            ("covariance_upper", pa.list_(pa.float64())),
-        ]
-    ),
-    "predictions": pa.schema(
-        [
-            *_FRAME_KEYS,
-            ("track_id", pa.int64()),
-            ("step", pa.int32()),
-            ("target_ns", pa.int64()),
-            *_floats("x_m", "y_m", "z_m", "vx_mps", "vy_mps", "cov_xx_m2", "cov_xy_m2", "cov_yy_m2"),
-            *_floats("radius_m", "sigma_radius_m", "conformal_radius_m"),
-            ("is_static", pa.bool_()),
-        ]
-    ),
-    "timings": pa.schema([*_FRAME_KEYS, ("stage", pa.string()), *_floats("time_ms")]),
-}
-
-Columns = dict[str, Any]
-
-
-class TableWriter:
-    """Writes one table, frame by frame, under a temporary name; the file appears when the `with`
-    block ends well, and not at all otherwise."""
-
-    def __init__(self, path: Path, table: str, metadata: Mapping[str, Any]) -> None:
-        text = json.dumps({"schema_version": SCHEMA_VERSION, "table": table, **metadata}, sort_keys=True)
-        self._schema = SCHEMAS[table].with_metadata({METADATA_KEY: text.encode()})
-        self._path = path
-        self._pending: list[pa.Table] = []
-        self._pending_rows = 0
-        self.rows = 0
-
-    def __enter__(self) -> TableWriter:
-        self._target = atomic_path(self._path)
-        dictionary = [f.name for f in self._schema if pa.types.is_string(f.type)]
-        self._writer = pq.ParquetWriter(
-            self._target.__enter__(),
-            self._schema,
-            compression="zstd",
-            use_dictionary=dictionary,
-        )
-        return self
-
-    def write(self, columns: Columns) -> None:
-        """Adds rows, given as equally long arrays by column name."""
-        table = pa.table({f.name: _array(columns[f.name], f.type) for f in self._schema}, schema=self._schema)
-        self.rows += len(table)
-        self._pending.append(table)
-        self._pending_rows += len(table)
-        if self._pending_rows >= ROWS_PER_GROUP:
-            self._flush()
-        elif len(self._pending) >= PIECES_HELD:
-            self._pending = [pa.concat_tables(self._pending).combine_chunks()]
-
-    def _flush(self) -> None:
-        if self._pending:
-            self._writer.write_table(pa.concat_tables(self._pending).combine_chunks())
-        self._pending, self._pending_rows = [], 0
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        try:
-            if kind is None:
-                self._flush()
-            self._writer.close()
-        finally:
-            self._target.__exit__(kind, error, trace)
-
-
-def _array(values: Any, kind: pa.DataType) -> pa.Array:
-    if isinstance(values, pa.Array):
-        return values
-    if pa.types.is_float64(kind):
-        return pa.array(values, kind, from_pandas=True)  # NaN becomes null
-    return pa.array(values, kind)
+from adcbf_cli.io.parquet import ROWS_PER_GROUP, Columns, batches
+from adcbf_cli.io.schemas import COUNTS, POSE, SCHEMAS
 
 
 def _ids(values: np.ndarray) -> pa.Array:
@@ -176,10 +39,10 @@ def frame_columns(record: Clusters) -> Columns:
     values = [*pose[:3, 3], *se3.quaternion_from_rotation(pose[:3, :3])]
     return {
         **_frame_keys(record.stamp_ns, record.frame_index, 1),
-        **{name: [value] for name, value in zip(_POSE, values, strict=True)},
+        **{name: [value] for name, value in zip(POSE, values, strict=True)},
         "pose_known": [record.pose_known],
         "planar": [record.planar],
-        **{f"points_{name}": [getattr(record.counts, name)] for name in _COUNTS},
+        **{f"points_{name}": [getattr(record.counts, name)] for name in COUNTS},
         "clusters": [len(record)],
     }
 
@@ -282,45 +145,11 @@ def timing_columns(stamp_ns: int, frame_index: int, spent_ns: Mapping[str, int])
     }
 
 
-def table_metadata(path: Path) -> dict[str, Any] | None:
-    """What the table says about itself, or None if it is missing, foreign or damaged, or has not its name's columns."""
-    try:
-        schema = pq.read_schema(path)
-        metadata = json.loads((schema.metadata or {}).get(METADATA_KEY, b"null"))
-    except (OSError, pa.ArrowException, ValueError):
-        return None
-    expected = SCHEMAS.get(path.stem)
-    if expected is None or not schema.equals(expected):
-        return None
-    return metadata if isinstance(metadata, dict) else None
-
-
-def read_table(path: Path, columns: list[str]) -> pa.Table:
-    """These columns of a table. AdcbfError where it is damaged."""
-    with _told_as_damage(path):
-        return pq.read_table(path, columns=columns)
-
-
-def _batches(path: Path, **options: Any) -> Iterator[pa.RecordBatch]:
-    """A table's rows, a batch at a time. AdcbfError where it is damaged."""
-    with _told_as_damage(path):
-        yield from pq.ParquetFile(path).iter_batches(**options)
-
-
-@contextmanager
-def _told_as_damage(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except (OSError, pa.ArrowException) as error:
-        reason = printable(" ".join(str(error).split())[:120])
-        raise AdcbfError(f"{path}: damaged ({reason}); --force computes it anew") from None
-
-
 class _Rows:
     """A table's rows, read in batches, handed out frame by frame as dicts of numpy arrays."""
 
     def __init__(self, path: Path) -> None:
-        self._batches = _batches(path, batch_size=ROWS_PER_GROUP)
+        self._batches = batches(path, batch_size=ROWS_PER_GROUP)
         self._rest = SCHEMAS[path.stem].empty_table()
         self._index = np.zeros(0, dtype=np.int32)
 
@@ -352,9 +181,9 @@ def _matrix(rows: pa.Table, name: str) -> np.ndarray:
 
 def _frame_rows(path: Path) -> Iterator[tuple[dict[str, Any], np.ndarray]]:
     """Rows of `frames` with each frame's world_from_sensor."""
-    for batch in _batches(path):
+    for batch in batches(path):
         for row in batch.to_pylist():
-            pose = [row[name] for name in _POSE]
+            pose = [row[name] for name in POSE]
             yield row, se3.pose_matrix(np.array(pose[:3]), np.array(pose[3:]))
 
 
@@ -369,7 +198,7 @@ def read_clusters(folder: Path) -> Iterator[Clusters]:
             world_from_sensor=world_from_sensor,
             planar=frame["planar"],
             pose_known=frame["pose_known"],
-            counts=PointCounts(**{name: frame[f"points_{name}"] for name in _COUNTS}),
+            counts=PointCounts(**{name: frame[f"points_{name}"] for name in COUNTS}),
             cluster_id=_column(part, "cluster_id").astype(np.int64),
             centre_m=np.column_stack([_column(part, f"{axis}_m") for axis in "xyz"]),
             centre_sensor_m=np.column_stack([_column(part, f"sensor_frame_{axis}_m") for axis in "xyz"]),
@@ -445,6 +274,6 @@ def read_predictions(folder: Path) -> Iterator[Predictions]:
 
 
 def _first_value(path: Path, column: str) -> Any:
-    for batch in _batches(path, batch_size=1, columns=[column]):
+    for batch in batches(path, batch_size=1, columns=[column]):
         return batch.column(0)[0].as_py()
     return None

@@ -18,8 +18,8 @@ from adcbf_cli.core.config import Config, EvaluationConfig, PerceptionConfig
 from adcbf_cli.core.errors import EXIT_DATA_LOST, EXIT_THRESHOLD, AdcbfError, UsageError
 from adcbf_cli.core.types import Loss
 from adcbf_cli.io import tables
+from adcbf_cli.io.parquet import TableWriter
 from adcbf_cli.io.run_folder import STAGES, TABLES, Manifest, RunFolder, Source, StageRecord, stage_keys
-from adcbf_cli.io.tables import TableWriter
 from tests.core.evaluation.scenes import Labelled, Run, Seen, line
 
 WALK = line(5.0, 2.0, vx=-0.5, vy=0.4)

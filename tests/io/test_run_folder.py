@@ -11,6 +11,7 @@ import pytest
 from adcbf_cli.core.config import Config
 from adcbf_cli.core.errors import AdcbfError
 from adcbf_cli.core.types import Loss
+from adcbf_cli.io.parquet import TableWriter
 from adcbf_cli.io.run_folder import (
     STAGES,
     Manifest,
@@ -23,7 +24,6 @@ from adcbf_cli.io.run_folder import (
     stage_keys,
 )
 from adcbf_cli.io.settings import resolve_config
-from adcbf_cli.io.tables import TableWriter
 
 SOURCE = Source("../log.mcap", "ab" * 32, (SourceFile("log.mcap", 3, "cd" * 32),))
 

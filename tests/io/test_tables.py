@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 
 from adcbf_cli.core.errors import AdcbfError
 from adcbf_cli.core.types import NO_ID
-from adcbf_cli.io import tables
-from adcbf_cli.io.tables import TableWriter
+from adcbf_cli.io import parquet, tables
+from adcbf_cli.io.parquet import TableWriter
+from adcbf_cli.io.schemas import SCHEMAS
 from tests.records import make_clusters, make_predictions, make_tracks
 
 counts_per_frame = st.lists(st.integers(0, 4), min_size=0, max_size=6)
@@ -109,8 +110,8 @@ def test_an_empty_table_has_its_types(tmp_path: Path) -> None:
         pass
     table = pq.read_table(tmp_path / "tracks.parquet")
     assert len(table) == 0
-    assert table.schema.names == tables.SCHEMAS["tracks"].names
-    metadata = tables.table_metadata(tmp_path / "tracks.parquet")
+    assert table.schema.names == SCHEMAS["tracks"].names
+    metadata = parquet.table_metadata(tmp_path / "tracks.parquet")
     assert metadata is not None
     assert metadata["key"] == "k"
 
@@ -130,7 +131,7 @@ def test_metadata_of_what_is_no_table_is_none(tmp_path: Path, damage: bytes | No
     path = tmp_path / "clusters.parquet"
     if damage is not None:
         path.write_bytes(damage)
-    assert tables.table_metadata(path) is None
+    assert parquet.table_metadata(path) is None
 
 
 def test_the_same_records_give_the_same_bytes(tmp_path: Path) -> None:
@@ -143,11 +144,11 @@ def test_the_same_records_give_the_same_bytes(tmp_path: Path) -> None:
 
 def test_rows_that_wait_take_the_memory_of_their_numbers_and_little_more(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
-    records = [make_clusters(i, 1, rng) for i in range(4 * tables.PIECES_HELD + 3)]
+    records = [make_clusters(i, 1, rng) for i in range(4 * parquet.PIECES_HELD + 3)]
     with TableWriter(tmp_path / "frames.parquet", "frames", {}) as writer:
         for record in records:
             writer.write(tables.frame_columns(record))
-            assert len(writer._pending) <= tables.PIECES_HELD
+            assert len(writer._pending) <= parquet.PIECES_HELD
     read = pq.ParquetFile(tmp_path / "frames.parquet")
     assert read.num_row_groups == 1
     assert read.read()["frame_index"].to_pylist() == list(range(len(records)))
@@ -162,9 +163,9 @@ def test_a_table_whose_pages_are_damaged_is_told_in_one_line(tmp_path: Path) -> 
     data = bytearray(path.read_bytes())
     data[4 : len(data) // 3] = bytes(len(data) // 3 - 4)
     path.write_bytes(data)
-    assert tables.table_metadata(path) is not None
+    assert parquet.table_metadata(path) is not None
     with pytest.raises(AdcbfError, match=r"damaged .*--force") as error:
-        tables.read_table(path, ["time_ms", "frame_index"])
+        parquet.read_table(path, ["time_ms", "frame_index"])
     assert "\n" not in str(error.value)
 
 
@@ -173,6 +174,6 @@ def test_a_table_of_other_columns_is_foreign_whatever_its_key(tmp_path: Path) ->
         pass
     path = tmp_path / "tracks.parquet"
     table = pq.read_table(path)
-    assert tables.table_metadata(path) is not None
+    assert parquet.table_metadata(path) is not None
     pq.write_table(table.drop_columns(["nis"]).replace_schema_metadata(table.schema.metadata), path)
-    assert tables.table_metadata(path) is None
+    assert parquet.table_metadata(path) is None
