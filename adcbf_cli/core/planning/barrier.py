@@ -13,7 +13,14 @@ from typing import Literal
 import numpy as np
 from scipy.special import erf, erfc
 
+from adcbf_cli.core.errors import UsageError
 from adcbf_cli.core.types import FloatArray
+
+CHECKED_RADII_M = np.linspace(0.05, 2.0, 40)
+"""Obstacle radii that `barrier_flaw` looks at: from a pole's to a car's."""
+
+CHECKED_DISTANCE_M = 10.0
+"""It looks at centre distances from contact, h = 0, to this one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,3 +80,56 @@ def _one_plus_edge(offset_m: FloatArray, sigma_m: float, form: Literal["cdf", "p
         return np.asarray(1.0 + erf(offset_m) / (np.sqrt(2.0) * sigma_m))
     # erfc keeps what 1 + erf would round away far below the edge.
     return np.asarray(erfc(-offset_m / (np.sqrt(2.0) * sigma_m)))
+
+
+def check_barrier(barrier: Barrier, body_radius_m: float, safety_distance_m: float) -> None:
+    """Raise UsageError where `barrier_flaw` finds one."""
+    flaw = barrier_flaw(barrier, body_radius_m, safety_distance_m)
+    if flaw is not None:
+        raise UsageError(
+            f"the barrier is no class-K function: {flaw} (planning.accept_invalid_barrier=true builds it all the same)"
+        )
+
+
+def barrier_flaw(barrier: Barrier, body_radius_m: float, safety_distance_m: float) -> str | None:
+    """Why alpha is no class-K function for these obstacles, and what mends it; None where it is one.
+
+    The constraint is dh >= -alpha(h), with alpha(h) = gamma(d(h), r) h, or gamma alone in the printed form,
+    and d(h)^2 = h + R^2, R = body_radius_m + r + safety_distance_m. Needed are alpha(0) = 0, strictly
+    increasing in h, and alpha(h) <= h, which keeps h from changing its sign within a step.
+    Judged at CHECKED_RADII_M, from contact to CHECKED_DISTANCE_M.
+    """
+    contact_m = body_radius_m + CHECKED_RADII_M + safety_distance_m
+    share = np.linspace(0.0, 1.0, 400)
+    distance_m = contact_m[:, None] + share * np.maximum(CHECKED_DISTANCE_M - contact_m, 1.0)[:, None]
+    gamma = gamma_at(barrier.gamma, distance_m, CHECKED_RADII_M[:, None])
+    if barrier.form == "printed":
+        return (
+            f"as printed it is alpha = gamma, so alpha(0) = {gamma[:, 0].max():.2g}, not 0: h may still fall at "
+            "h = 0; set planning.barrier_form=product"
+        )
+
+    def place(at: tuple[np.intp, ...]) -> str:
+        return f"an obstacle of r = {CHECKED_RADII_M[at[0]]:.2f} m at d = {distance_m[at]:.2f} m"
+
+    lowest = np.unravel_index(np.argmin(gamma), gamma.shape)
+    if gamma[lowest] <= 0.0:
+        return f"gamma is {gamma[lowest]:.2g} for {place(lowest)}, not positive; {_cure(barrier.gamma, 'low')}"
+    highest = np.unravel_index(np.argmax(gamma), gamma.shape)
+    if gamma[highest] > 1.0:
+        return f"alpha(h) > h, as gamma is {gamma[highest]:.2f}, for {place(highest)}; {_cure(barrier.gamma, 'high')}"
+    rise = np.diff(gamma * (distance_m**2 - contact_m[:, None] ** 2), axis=1)
+    worst = np.unravel_index(np.argmin(rise), rise.shape)
+    if rise[worst] <= 0.0:
+        return f"alpha falls with growing h for {place(worst)}; {_cure(barrier.gamma, 'low')}"
+    return None
+
+
+def _cure(gamma: FixedGamma | AdaptiveGamma, end: Literal["low", "high"]) -> str:
+    if isinstance(gamma, FixedGamma):
+        return "set planning.gamma_fixed within (0, 1]"
+    if end == "high":
+        return "set planning.gamma_ceiling=1"
+    if gamma.form == "printed":
+        return "set planning.gamma_form=cdf"
+    return "set planning.gamma_floor=0.05"
