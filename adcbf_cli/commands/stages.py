@@ -19,12 +19,14 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
+
 from adcbf_cli.commands.options import Shared
 from adcbf_cli.commands.terminal import progress
 from adcbf_cli.core.config import Config
 from adcbf_cli.core.errors import AdcbfError, UsageError
 from adcbf_cli.core.timing import RecordingTimer
-from adcbf_cli.core.types import Clusters, Frame, Notes, Predictions, Tracks
+from adcbf_cli.core.types import Clusters, Frame, Notes, Predictions, Tracks, Truth
 from adcbf_cli.io import tables
 from adcbf_cli.io.parquet import TableWriter
 from adcbf_cli.io.run_folder import (
@@ -43,7 +45,6 @@ from adcbf_cli.io.settings import read_text, resolve_config
 
 if TYPE_CHECKING:
     from adcbf_cli.core.prediction.calibration import Calibration
-    from adcbf_cli.io.frame_reader import FrameReader
 
 Record = TypeVar("Record", Clusters, Tracks, Predictions)
 
@@ -154,11 +155,7 @@ def _compute(job: Job, manifest: Manifest, keys: dict[str, str], todo: tuple[str
         total: int | None = manifest.stages["cluster"].rows.get("frames") if "cluster" in manifest.stages else None
         records: Any
         if todo[0] == "cluster":
-            from adcbf_cli.core.perception.pipeline import cluster_frames
-
-            reader = stack.enter_context(_open_reader(job, notes["cluster"]))
-            selection, total = asdict(reader.selection), reader.expected_frames
-            records = cluster_frames(_timed(reader, timer), config.perception, notes["cluster"], timer)
+            selection, total, records = _clusters(job, notes["cluster"], timer, stack)
         elif todo[0] == "track":
             records = tables.read_clusters(job.folder.path)
         else:
@@ -188,16 +185,43 @@ def _compute(job: Job, manifest: Manifest, keys: dict[str, str], todo: tuple[str
     return finished
 
 
-def _open_reader(job: Job, notes: Notes) -> FrameReader:
-    """Opens the log for reading, if it is still the one that the run folder was made from."""
+def _clusters(
+    job: Job, notes: Notes, timer: RecordingTimer, stack: ExitStack
+) -> tuple[dict[str, Any], int | None, Iterable[Clusters]]:
+    """What is taken from the log, how many frames it promises, and the obstacles in each."""
+    from adcbf_cli.io.logs import is_object_list
+
+    _check_log(job)
+    if is_object_list(job.log):
+        from adcbf_cli.core.perception.listed import listed_clusters, listed_frames
+
+        truth = read_object_list(job.log, notes)
+        selection = {"world_frame": "objects", "reasons": ("an object list: its objects are seen as they are",)}
+        return selection, listed_frames(truth, job.config.read), listed_clusters(truth, job.config.read)
+    from adcbf_cli.core.perception.pipeline import cluster_frames
     from adcbf_cli.io.frame_reader import FrameReader
+
+    reader = stack.enter_context(FrameReader(job.log, job.config.read, notes))
+    records = cluster_frames(_timed(reader, timer), job.config.perception, notes, timer)
+    return asdict(reader.selection), reader.expected_frames, records
+
+
+def read_object_list(path: Path, notes: Notes) -> Truth:
+    """The objects of a CSV that stands for a log."""
+    from adcbf_cli.io.truth import TruthContext, read_truth
+
+    nothing = np.zeros(0, dtype=np.int64)
+    return read_truth(str(path), path)(TruthContext(nothing, nothing, path), notes)
+
+
+def _check_log(job: Job) -> None:
+    """AdcbfError unless the log is still the one that the run folder was made from."""
     from adcbf_cli.io.logs import log_files
 
     if not job.log.exists():
         raise AdcbfError(f"{job.log}: this log is gone, and the run folder lacks what would be computed from it")
     if not job.hashed_now and identify_source(job.source.path, log_files(job.log)).sha256 != job.source.sha256:
         raise AdcbfError(f"{job.log}: has changed since {job.folder.path} was made; run on the log itself")
-    return FrameReader(job.log, job.config.read, notes)
 
 
 def _open_writers(

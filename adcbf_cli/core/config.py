@@ -36,6 +36,12 @@ class ReadConfig(StageConfig):
     )
     deskew: bool = Field(True, description="Correct motion within a scan where times and poses allow it.")
     max_pose_gap_s: Positive = Field(1.0, description="Poses farther apart than this are not interpolated.")
+    object_rate_hz: Annotated[float, Field(ge=0.1, le=1000)] = Field(
+        10.0, description="Object list: how often each object is seen."
+    )
+    object_noise_m: NonNegative = Field(0.03, description="Object list: noise of a seen centre, sigma per axis.")
+    object_radius_m: Positive = Field(0.3, description="Object list: radius of an object without a size.")
+    object_seed: Annotated[int, Field(ge=0)] = Field(0, description="Object list: seed of the noise.")
 
 
 class PerceptionConfig(StageConfig):

@@ -25,7 +25,7 @@ Event = Scan | StampedTransform | tuple[StampedTransform, ...]
 """What a source gives: a scan, a pose of the pose source, or the transforms of one tf message."""
 
 
-_NOT_A_LOG = "adcbf reads MCAP, ROS 1 bags, rosbag2 folders (.db3, .mcap) and folders of .pcd scans"
+_NOT_A_LOG = "adcbf reads MCAP, ROS 1 bags, rosbag2 folders (.db3, .mcap), folders of .pcd scans, .csv object lists"
 
 
 def log_files(path: Path) -> tuple[Path, ...]:
@@ -65,9 +65,14 @@ def is_log(path: Path) -> bool:
     if path.is_dir():
         return is_bag_folder(path) or holds_scans(path)
     try:
-        return path.is_file() and bool(_kind(path))
+        return path.is_file() and _kind(path) != "csv"
     except AdcbfError:
         return False
+
+
+def is_object_list(path: Path) -> bool:
+    """Whether the path is a CSV of objects' positions, which stands for a log whose obstacles are known."""
+    return path.is_file() and path.suffix.lower() == ".csv"
 
 
 def holds_scans(path: Path) -> bool:
@@ -78,7 +83,8 @@ def holds_scans(path: Path) -> bool:
 
 
 def _kind(path: Path) -> str:
-    """'mcap', 'bag', 'sqlite' or 'pcd' by a file's first bytes. Raises AdcbfError for anything else."""
+    """'mcap', 'bag' or 'sqlite' by a file's first bytes, 'pcd' or 'csv' by its name. Raises AdcbfError for
+    anything else."""
     if path.exists() and not path.is_file():
         raise AdcbfError(f"{path} is neither a file nor a folder; {_NOT_A_LOG}")
     try:
@@ -91,8 +97,8 @@ def _kind(path: Path) -> str:
     for kind, magic in (("mcap", MCAP_MAGIC), ("bag", b"#ROSBAG V"), ("sqlite", SQLITE_MAGIC)):
         if head.startswith(magic):
             return kind
-    if path.suffix.lower() == ".pcd":
-        return "pcd"
+    if path.suffix.lower() in (".pcd", ".csv"):
+        return path.suffix.lower()[1:]
     what = "is empty" if not head else "is not a log"
     raise AdcbfError(f"{path} {what}; {_NOT_A_LOG}")
 
