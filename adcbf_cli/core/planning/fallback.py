@@ -1,0 +1,82 @@
+"""What stands between a planner and the wheels: reach, clearance, braking, and the ladder of outcomes.
+
+Takes inputs and predicted obstacles from the planners; gives plans that a vehicle can drive.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from adcbf_cli.core.planning.planner import Details, Outcome, Plan, Situation
+from adcbf_cli.core.types import FloatArray
+from adcbf_cli.core.vehicles.vehicle import Vehicle
+
+STANDING_MPS = 1e-3
+"""Slower than this is standing."""
+
+TOUCH_M = 1e-6
+"""Surface distances are compared to this."""
+
+
+def reachable(vehicle: Vehicle, wanted: FloatArray, last: FloatArray, step_s: float, first_step_s: float) -> FloatArray:
+    """Inputs (N, 2) nearest to `wanted` (N, 2), stage by stage, within bounds and rates from `last` (2,).
+
+    As `Vehicle.limited` for each stage in turn; plain floats, since that is ten times as fast as N
+    numpy calls. `wanted` must be finite.
+    """
+    inputs = np.empty((len(wanted), 2))
+    for i in range(2):
+        low, high, value = float(vehicle.input_min[i]), float(vehicle.input_max[i]), float(last[i])
+        reach = float(vehicle.rate_max[i]) * first_step_s
+        column = []
+        for aim in wanted[:, i].tolist():
+            inside = min(max(aim, low), high)
+            value = min(max(inside, value - reach), value + reach)
+            column.append(value)
+            reach = float(vehicle.rate_max[i]) * step_s
+        inputs[:, i] = column
+    return inputs
+
+
+def surface_m(poses: FloatArray, centre_m: FloatArray, radius_m: FloatArray, body_radius_m: float) -> FloatArray:
+    """(n, T) distance between the vehicle's circle at poses (T, 3) and obstacles: centres (n, T, 2),
+    radii (n,); negative where they overlap."""
+    gap = centre_m - poses[None, :, :2]
+    return np.asarray(np.hypot(gap[..., 0], gap[..., 1]) - radius_m[:, None] - body_radius_m)
+
+
+def least_clearance_m(poses: FloatArray, centre_m: FloatArray, radius_m: FloatArray, body_radius_m: float) -> float:
+    """The smallest of `surface_m`; infinite without obstacles."""
+    return float(surface_m(poses, centre_m, radius_m, body_radius_m).min(initial=np.inf))
+
+
+def required_m(surface_now_m: FloatArray, safety_m: float) -> FloatArray:
+    """(n,) surface distance to keep from each obstacle: the safety distance, or, where the vehicle is
+    closer than that already, not to come closer still. Without this a vehicle that starts within the
+    margin could never leave."""
+    return np.asarray(np.minimum(safety_m, surface_now_m) - TOUCH_M)
+
+
+def braking(vehicle: Vehicle, situation: Situation, steps: int, step_s: float, first_step_s: float) -> Plan:
+    """Braking from the inputs that the vehicle has now; STOPPED where it stands already."""
+    wanted = vehicle.braking(situation.inputs, steps, step_s, first_step_s)
+    inputs = reachable(vehicle, wanted, situation.inputs, step_s, first_step_s)
+    stands = abs(float(situation.inputs[0])) < STANDING_MPS
+    poses = vehicle.roll_out(situation.pose, inputs, step_s)
+    return Plan(Outcome.STOPPED if stands else Outcome.BRAKED, inputs, poses, None)
+
+
+def outcome_of(details: Details, hard: bool, tolerance: float = 1e-6) -> Outcome:
+    """The rung that a solved problem stands on, clearances aside: BRAKED where `hard` forbids its slack."""
+    if not details.feasible:
+        return Outcome.BRAKED if hard else Outcome.RELAXED
+    return Outcome.SOLVED if details.decay >= 1 - tolerance else Outcome.RELAXED
+
+
+def relaxed_is_better(plan_clearance_m: float, braking_clearance_m: float, safety_m: float) -> bool:
+    """Whether a plan that violates or weakens a barrier may be driven rather than braking.
+
+    It may where it keeps the safety distance all along, or comes no closer than braking would: a plan
+    that drives into something is never preferred to braking.
+    """
+    return plan_clearance_m >= min(safety_m, braking_clearance_m) - TOUCH_M

@@ -1,0 +1,123 @@
+"""Following a path without looking at obstacles: progress along it, and pure pursuit's roll-out.
+
+Shared by the pure-pursuit planner, by the MPC planners' second start and by the other baselines.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from adcbf_cli.core.planning.reference import ReferencePath
+from adcbf_cli.core.types import FloatArray
+from adcbf_cli.core.vehicles.vehicle import Vehicle
+
+LOOK_AHEAD_M = 0.6
+LOOK_AHEAD_S = 0.5
+"""Pure pursuit aims at this distance plus this time's way ahead."""
+
+GENTLE = 0.5
+"""Share of the braking limit with which the reference slows down before its end, so that following it
+leaves something in hand."""
+
+
+class Progress:
+    """The arc length reached on a path; found near the last one, so that a path that crosses itself is
+    not short-cut. A new path starts anew."""
+
+    def __init__(self) -> None:
+        self._path: ReferencePath | None = None
+        self._along_m: float | None = None
+
+    def along_m(self, path: ReferencePath, pose: FloatArray) -> float:
+        if path is not self._path:
+            self._path, self._along_m = path, None
+        self._along_m = path.nearest(pose[:2], self._along_m)
+        return self._along_m
+
+
+def horizon(
+    vehicle: Vehicle, path: ReferencePath, along_m: float, pose: FloatArray, steps: int, step_s: float
+) -> FloatArray:
+    """`ReferencePath.horizon` with this vehicle's braking."""
+    return path.horizon(pose, along_m, steps, step_s, GENTLE * float(vehicle.rate_max[0]))
+
+
+def look_ahead_m(path: ReferencePath) -> float:
+    return LOOK_AHEAD_M + LOOK_AHEAD_S * path.speed_mps
+
+
+def beyond(path: ReferencePath, along_m: FloatArray) -> FloatArray:
+    """(k, 3) as `ReferencePath.at`, going straight on after the path's end: an aim that stopped there
+    would make the last metre's curvature arbitrary."""
+    places = path.at(along_m)
+    over = np.maximum(along_m - path.length_m, 0.0)
+    places[:, 0] += over * np.cos(places[:, 2])
+    places[:, 1] += over * np.sin(places[:, 2])
+    return places
+
+
+def pursue(
+    vehicle: Vehicle,
+    pose: FloatArray,
+    last: FloatArray,
+    aims_m: FloatArray,
+    speeds_mps: FloatArray,
+    step_s: float,
+    first_step_s: float,
+) -> FloatArray:
+    """Inputs (N, 2) of pure pursuit: at stage k towards aims (N, 2) with at most speeds (N,), within the
+    limits from `last` on.
+
+    Poses in between go by the chord of each step's arc; plain floats, since N rounds of numpy calls on
+    two numbers would take longer than solving the problem that this is a start for.
+    """
+    x, y, yaw = (float(value) for value in pose)
+    inputs = np.empty((len(aims_m), 2))
+    now = (float(last[0]), float(last[1]))
+    bounds = _bounds(vehicle)
+    period = first_step_s
+    for k, (aim_x, aim_y, speed) in enumerate(np.column_stack([aims_m, speeds_mps]).tolist()):
+        distance = max(math.hypot(aim_x - x, aim_y - y), 1e-3)
+        bearing = math.remainder(math.atan2(aim_y - y, aim_x - x) - yaw, 2 * math.pi)
+        wanted = _towards(vehicle, distance, bearing, speed, bounds[1][1])
+        now = (_limit(wanted[0], now[0], period, bounds[0]), _limit(wanted[1], now[1], period, bounds[1]))
+        inputs[k] = now
+        rate = now[1] if vehicle.kind == "unicycle" else now[0] * math.tan(now[1]) / vehicle.wheelbase_m
+        x += now[0] * step_s * math.cos(yaw + 0.5 * rate * step_s)
+        y += now[0] * step_s * math.sin(yaw + 0.5 * rate * step_s)
+        yaw += rate * step_s
+        period = step_s
+    return inputs
+
+
+Bound = tuple[float, float, float]
+"""Lowest and highest value of one input, and the rate at which it may change."""
+
+
+def _bounds(vehicle: Vehicle) -> tuple[Bound, Bound]:
+    table = np.column_stack([vehicle.input_min, vehicle.input_max, vehicle.rate_max]).tolist()
+    speed, turn = (tuple(row) for row in table)
+    return speed, turn
+
+
+def _limit(wanted: float, last: float, period_s: float, bound: Bound) -> float:
+    """`Vehicle.limited` of one input."""
+    inside = min(max(wanted, bound[0]), bound[1])
+    return min(max(inside, last - bound[2] * period_s), last + bound[2] * period_s)
+
+
+def _towards(
+    vehicle: Vehicle, distance_m: float, bearing_rad: float, speed_mps: float, turn_max: float
+) -> tuple[float, float]:
+    """The inputs for a point at this distance and bearing: the arc through it has curvature
+    2 sin(bearing) / distance. What lies behind is turned towards first."""
+    behind = abs(bearing_rad) > math.pi / 2
+    curvature = 2 * (math.copysign(1.0, bearing_rad) if behind else math.sin(bearing_rad)) / distance_m
+    if vehicle.kind == "ackermann":
+        return speed_mps, math.atan(vehicle.wheelbase_m * curvature)
+    if behind:
+        return 0.0, math.copysign(turn_max, bearing_rad)
+    speed = min(speed_mps, turn_max / max(abs(curvature), 1e-9))
+    return speed, speed * curvature
