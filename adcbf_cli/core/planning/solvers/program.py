@@ -24,7 +24,7 @@ def solve_program(
     iterations = int(stats.get("iter_count", 0))
     inputs = within_limits(problem, instance, ocp.inputs_of(np.asarray(answer["x"]).ravel()))
     value = merit(problem, instance, inputs)
-    if stats["return_status"] in converged and np.isfinite(value):
+    if str(stats["return_status"]) in converged and np.isfinite(value):
         return Solution(inputs, SolverStatus.CONVERGED, iterations, value)
     start_value = merit(problem, instance, start)
     if np.isfinite(value) and value <= start_value:
@@ -40,3 +40,9 @@ def within_limits(problem: Problem, instance: Instance, inputs: FloatArray) -> F
         limited[k] = last = problem.vehicle.limited(inputs[k], last, period_s)
         period_s = problem.step_s
     return limited
+
+
+def first_barrier_parameter(problem: Problem) -> float:
+    """The interior-point methods' first mu. The slacks' multipliers reach up to the slack weight; starting
+    well below it puts iterates onto the constraints at once, and into poorer minima in clutter."""
+    return 0.1 * problem.slack_weight
