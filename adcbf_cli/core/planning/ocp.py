@@ -227,12 +227,15 @@ class Ocp:
 
     def bounds(self, instance: Instance) -> dict[str, FloatArray]:
         """lbx, ubx, lbg, ubg. Inputs out of bounds may stay there for as long as their rate needs to return."""
-        lowest, highest = reachable_inputs(self.problem, instance.last_inputs)
+        problem = self.problem
+        lowest, highest = problem.vehicle.envelope(
+            instance.last_inputs, problem.steps, problem.step_s, problem.first_step_s
+        )
         lower, upper = [], []
         for k, count in enumerate(self.controls):
             lower.append(np.full(self.states[k], -np.inf))
             upper.append(np.full(self.states[k], np.inf))
-            if k < self.problem.steps:
+            if k < problem.steps:
                 lower += [lowest[k], np.zeros(count - INPUTS)]
                 upper += [highest[k], np.full(min(self.slots, count - INPUTS), np.inf)]
                 upper.append(np.ones(max(0, count - INPUTS - self.slots)))
@@ -272,17 +275,6 @@ class Ocp:
         """(N, 2) the inputs in x."""
         starts = np.concatenate([[0], np.cumsum(np.add(self.states, self.controls))])[:-2] + STATE
         return variables[starts[:, None] + np.arange(INPUTS)]
-
-
-def reachable_inputs(problem: Problem, last_inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest inputs (N, 2) of each stage: the vehicle's bounds, as far as they can be reached
-    from the last inputs by then. From out of bounds, both are the way back, as in `Vehicle.limited`."""
-    vehicle = problem.vehicle
-    at_s = problem.first_step_s + problem.step_s * np.arange(problem.steps)[:, None]
-    reach = vehicle.rate_max * at_s
-    lowest = np.clip(vehicle.input_min, last_inputs - reach, last_inputs + reach)
-    highest = np.clip(vehicle.input_max, last_inputs - reach, last_inputs + reach)
-    return lowest, highest
 
 
 def bucket(obstacles: int) -> int:

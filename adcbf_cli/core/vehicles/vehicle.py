@@ -93,20 +93,49 @@ class Vehicle:
         inside = np.clip(wanted, self.input_min, self.input_max)
         return np.clip(inside, last - reach, last + reach)
 
+    def within_limits(self, wanted: FloatArray, last: FloatArray, step_s: float, first_step_s: float) -> FloatArray:
+        """`limited` for each stage of `wanted` (N, 2) in turn, the first from `last` (2,) in `first_step_s`.
+
+        In plain floats, which is ten times as fast as N numpy calls. `wanted` must be finite.
+        """
+        inputs = np.empty((len(wanted), 2))
+        for i in range(2):
+            low, high, value = float(self.input_min[i]), float(self.input_max[i]), float(last[i])
+            reach = float(self.rate_max[i]) * first_step_s
+            column = []
+            for aim in wanted[:, i].tolist():
+                inside = min(max(aim, low), high)
+                value = min(max(inside, value - reach), value + reach)
+                column.append(value)
+                reach = float(self.rate_max[i]) * step_s
+            inputs[:, i] = column
+        return inputs
+
+    def envelope(
+        self, last: FloatArray, steps: int, step_s: float, first_step_s: float
+    ) -> tuple[FloatArray, FloatArray]:
+        """Lowest and highest inputs, (steps, 2) each, that are in bounds and can be reached from `last` by then.
+
+        From a `last` out of bounds both are the way back, as in `limited`.
+        """
+        reach = self.rate_max * (first_step_s + step_s * np.arange(steps)[:, None])
+        lowest = np.clip(self.input_min, last - reach, last + reach)
+        highest = np.clip(self.input_max, last - reach, last + reach)
+        return lowest, highest
+
     def braking(self, last: FloatArray, steps: int, step_s: float, first_step_s: float | None = None) -> FloatArray:
         """Inputs (steps, 2) that stop as fast as the limits allow: speed to zero, and a unicycle's yaw
         rate in proportion to it, so that the path keeps its curvature; steering stays.
 
         first_step_s: how long the first change may take, where that differs from `step_s`.
         """
-        at_s = (step_s if first_step_s is None else first_step_s) + step_s * np.arange(steps)
+        first_s = step_s if first_step_s is None else first_step_s
+        at_s = first_s + step_s * np.arange(steps)
         speed = np.sign(last[0]) * np.maximum(np.abs(last[0]) - self.rate_max[0] * at_s, 0.0)
-        inputs = np.empty((steps, 2))
-        inputs[:, 0] = speed
-        if self.kind == "ackermann":
-            inputs[:, 1] = last[1]
-            return inputs
-        wanted = last[1] * (speed / last[0] if last[0] else np.zeros(steps))
-        fastest = np.maximum(np.abs(last[1]) - self.rate_max[1] * at_s, 0.0)
-        inputs[:, 1] = np.sign(last[1]) * np.maximum(np.abs(wanted), fastest)
-        return inputs
+        turn = np.full(steps, last[1])
+        if self.kind == "unicycle":
+            wanted = last[1] * (speed / last[0] if last[0] else np.zeros(steps))
+            fastest = np.maximum(np.abs(last[1]) - self.rate_max[1] * at_s, 0.0)
+            turn = np.sign(last[1]) * np.maximum(np.abs(wanted), fastest)
+        lowest, highest = self.envelope(last, steps, step_s, first_s)
+        return np.asarray(np.clip(np.column_stack([speed, turn]), lowest, highest))

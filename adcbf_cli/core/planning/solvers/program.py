@@ -14,32 +14,35 @@ from adcbf_cli.core.types import FloatArray
 def solve_program(
     ocp: Ocp, solver: ca.Function, instance: Instance, guess: FloatArray, converged: tuple[str, ...]
 ) -> Solution:
-    """Run `solver` from `guess`. Its return status is one of `converged`, or the solve did not converge."""
+    """Run `solver` from `guess`; it has converged where its return status is one of `converged`.
+
+    A guess or an instance that is not finite fails. Otherwise there are always inputs to give, since
+    the barriers are soft: what was found or, where that is worse and not even converged, the guess.
+    """
     problem = ocp.problem
-    start = within_limits(problem, instance, guess)
-    if not np.isfinite(merit(problem, instance, start)):
+
+    def in_limits(inputs: FloatArray) -> FloatArray:
+        return problem.vehicle.within_limits(inputs, instance.last_inputs, problem.step_s, problem.first_step_s)
+
+    if not np.isfinite(guess).all():
+        return Solution(guess, SolverStatus.FAILED, 0, np.inf)
+    start = in_limits(guess)
+    start_value = merit(problem, instance, start)
+    if not np.isfinite(start_value):
         return Solution(guess, SolverStatus.FAILED, 0, np.inf)
     answer = solver(x0=ocp.variables(instance, start), p=ocp.parameters(instance), **ocp.bounds(instance))
     stats = solver.stats()
     iterations = int(stats.get("iter_count", 0))
-    inputs = within_limits(problem, instance, ocp.inputs_of(np.asarray(answer["x"]).ravel()))
+    found = ocp.inputs_of(np.asarray(answer["x"]).ravel())
+    if not np.isfinite(found).all():
+        return Solution(start, SolverStatus.ITERATION_LIMIT, iterations, start_value)
+    inputs = in_limits(found)
     value = merit(problem, instance, inputs)
-    if str(stats["return_status"]) in converged and np.isfinite(value):
+    if str(stats["return_status"]) in converged:
         return Solution(inputs, SolverStatus.CONVERGED, iterations, value)
-    start_value = merit(problem, instance, start)
-    if np.isfinite(value) and value <= start_value:
+    if value <= start_value:
         return Solution(inputs, SolverStatus.ITERATION_LIMIT, iterations, value)
     return Solution(start, SolverStatus.ITERATION_LIMIT, iterations, start_value)
-
-
-def within_limits(problem: Problem, instance: Instance, inputs: FloatArray) -> FloatArray:
-    """The inputs (N, 2) brought into bounds and rate limits, one after the other."""
-    limited = np.empty((problem.steps, 2))
-    last, period_s = instance.last_inputs, problem.first_step_s
-    for k in range(problem.steps):
-        limited[k] = last = problem.vehicle.limited(inputs[k], last, period_s)
-        period_s = problem.step_s
-    return limited
 
 
 def first_barrier_parameter(problem: Problem) -> float:
