@@ -1,0 +1,232 @@
+"""The MPC planners: one optimal-control problem a tick, from two starts, and the ladder when it fails.
+
+Which planner it is (gamma, decay, held or predicted obstacles) is data, in `presets`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adcbf_cli.core.config import PlanningConfig
+from adcbf_cli.core.planning import fallback, pursuit, starts
+from adcbf_cli.core.planning.barrier import Barrier, gamma_at
+from adcbf_cli.core.planning.columns import Columns, ObstacleSet, can_bind, columns_of, nearest
+from adcbf_cli.core.planning.merit import barrier_rows
+from adcbf_cli.core.planning.planner import Details, Outcome, Plan, Situation
+from adcbf_cli.core.planning.problem import Instance, Problem, Solution, SolverStatus, Weights
+from adcbf_cli.core.planning.solvers.base import make_solver
+from adcbf_cli.core.types import FloatArray, Notes
+from adcbf_cli.core.vehicles.vehicle import Vehicle
+
+FEASIBLE_M2 = 1e-6
+"""A smaller barrier violation is the solver's tolerance."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Scene:
+    """One tick's problem: what the planner believes, and how much of it the solver sees.
+
+    known: all columns; columns: those in the instance; dropped: how many obstacles `max_obstacles` kept
+    out of it. guesses: where to start, by name.
+    """
+
+    situation: Situation
+    known: Columns
+    columns: Columns
+    instance: Instance
+    dropped: int
+    guesses: dict[str, FloatArray]
+
+
+@dataclass(frozen=True, slots=True)
+class _Memory:
+    """The plan of an earlier tick."""
+
+    stamp_ns: int
+    inputs: FloatArray
+
+
+class MpcPlanner:
+    """See `Planner`. Its next start is its last solution, also where the vehicle braked instead."""
+
+    def __init__(
+        self,
+        name: str,
+        vehicle: Vehicle,
+        planning: PlanningConfig,
+        barrier: Barrier,
+        obstacle_set: ObstacleSet,
+        notes: Notes,
+    ) -> None:
+        self.name = name
+        self._planning = planning
+        self._obstacle_set = obstacle_set
+        self._notes = notes
+        self._problem = problem_of(vehicle, planning, barrier)
+        self._solver, note = make_solver(
+            planning.solver,
+            self._problem,
+            planning.min_iterations,
+            max(planning.min_iterations, planning.max_iterations),
+        )
+        if note is not None:
+            notes.warn(note)
+        self._progress = pursuit.Progress()
+        self._memory: _Memory | None = None
+
+    def plan(self, situation: Situation) -> Plan:
+        scene = self._scene(situation)
+        start, solution = self._solve(scene)
+        if solution is None:
+            self._memory = None
+            return self._braked(situation, _failed(start, scene.dropped))
+        self._memory = _Memory(situation.stamp_ns, solution.inputs)
+        inputs = self._guarded(solution.inputs, situation.inputs)
+        details = self._details(scene, start, solution, inputs)
+        poses = self._problem.vehicle.roll_out(situation.pose, inputs, self._problem.step_s)
+        outcome = fallback.outcome_of(details, self._planning.hard)
+        if outcome is Outcome.BRAKED:
+            return self._braked(situation, details)
+        if outcome is Outcome.RELAXED and not self._may_relax(scene, poses):
+            return self._braked(situation, details)
+        return Plan(outcome, inputs, poses, details)
+
+    def _scene(self, situation: Situation) -> _Scene:
+        problem, planning, pose = self._problem, self._planning, situation.pose
+        along_m = self._progress.along_m(situation.path, pose)
+        reference = pursuit.horizon(problem.vehicle, situation.path, along_m, pose, problem.steps, problem.step_s)
+        followed, aims = starts.follow(problem, situation.path, reference, along_m, pose, situation.inputs)
+        keep_m = problem.vehicle.body_radius_m + planning.safety_distance_m
+        known = columns_of(situation.obstacles, self._obstacle_set, keep_m, planning.uncertainty != "none")
+        poses = problem.vehicle.roll_out(pose, followed, problem.step_s)
+        relevant = known.taken(can_bind(problem, pose, situation.inputs, known))
+        columns, dropped = nearest(relevant, poses, planning.max_obstacles)
+        guesses = {}
+        previous = self._shifted(situation)
+        if previous is not None:
+            guesses["shifted"] = previous
+        if previous is None or planning.starts > 1:
+            guesses["reference"] = starts.around(problem, reference, aims, followed, columns, pose, situation.inputs)
+        instance = Instance(
+            pose=pose,
+            last_inputs=situation.inputs,
+            reference=reference,
+            obstacle_m=columns.centre_m,
+            obstacle_radius_m=columns.radius_m,
+            keep_out_m=columns.keep_out_m,
+            gamma=self._frozen_gamma(columns, pose, next(iter(guesses.values()))),
+        )
+        return _Scene(situation, known, columns, instance, dropped, guesses)
+
+    def _shifted(self, situation: Situation) -> FloatArray | None:
+        if self._memory is None:
+            return None
+        problem = self._problem
+        elapsed_s = (situation.stamp_ns - self._memory.stamp_ns) * 1e-9
+        later = starts.shifted(self._memory.inputs, elapsed_s, problem.step_s)
+        if later is None:
+            return None
+        return fallback.reachable(problem.vehicle, later, situation.inputs, problem.step_s, problem.first_step_s)
+
+    def _frozen_gamma(self, columns: Columns, pose: FloatArray, guess: FloatArray) -> FloatArray | None:
+        """(n, N) gamma along the first start, where it is not a function inside the problem."""
+        barrier = self._problem.barrier
+        if not barrier.frozen:
+            return None
+        poses = self._problem.vehicle.roll_out(pose, guess, self._problem.step_s)
+        gap = columns.centre_m[:, :-1] - poses[:-1, :2]
+        return gamma_at(barrier.gamma, np.hypot(gap[..., 0], gap[..., 1]), columns.radius_m[:, None])
+
+    def _solve(self, scene: _Scene) -> tuple[str, Solution | None]:
+        """The best usable solution of all starts, and which start it came from; None where there is none."""
+        best: tuple[str, Solution | None] = ("", None)
+        for start, guess in scene.guesses.items():
+            found = self._solver.solve(scene.instance, guess)
+            usable = found.status is not SolverStatus.FAILED and bool(np.isfinite(found.inputs).all())
+            if usable and np.isfinite(found.merit) and (best[1] is None or found.merit < best[1].merit):
+                best = (start, found)
+        return best
+
+    def _guarded(self, inputs: FloatArray, last: FloatArray) -> FloatArray:
+        """The solver's inputs within the vehicle's limits: they are already, and it is counted if not."""
+        problem = self._problem
+        limited = fallback.reachable(problem.vehicle, inputs, last, problem.step_s, problem.first_step_s)
+        if np.abs(limited - inputs).max() > 1e-9:
+            self._notes.count("plans out of the vehicle's limits")
+        return limited
+
+    def _details(self, scene: _Scene, start: str, solution: Solution, inputs: FloatArray) -> Details:
+        rows = barrier_rows(self._problem, scene.instance, inputs)
+        violation = float(rows.slack_m2.max(initial=0.0))
+        return Details(
+            status=solution.status.value,
+            start=start,
+            iterations=solution.iterations,
+            merit=solution.merit,
+            violation_m2=violation,
+            decay=float(rows.decay.min(initial=1.0)),
+            feasible=violation <= FEASIBLE_M2,
+            track_id=scene.columns.track_id,
+            barrier_m2=rows.barrier_m2,
+            gamma=rows.gamma,
+            slack_m2=rows.slack_m2,
+            dropped=scene.dropped,
+        )
+
+    def _may_relax(self, scene: _Scene, poses: FloatArray) -> bool:
+        """Whether the planner, by what it believes of the obstacles, may drive on rather than brake."""
+        problem, known = self._problem, scene.known
+        brake = fallback.braking(problem.vehicle, scene.situation, problem.steps, problem.step_s, problem.first_step_s)
+        body_m = problem.vehicle.body_radius_m
+        driven_m, braked_m = (
+            fallback.least_clearance_m(way, known.centre_m, known.radius_m, body_m) for way in (poses, brake.poses)
+        )
+        return fallback.relaxed_is_better(driven_m, braked_m, self._planning.safety_distance_m)
+
+    def _braked(self, situation: Situation, details: Details) -> Plan:
+        problem = self._problem
+        plan = fallback.braking(problem.vehicle, situation, problem.steps, problem.step_s, problem.first_step_s)
+        return Plan(plan.outcome, plan.inputs, plan.poses, details)
+
+
+def problem_of(vehicle: Vehicle, planning: PlanningConfig, barrier: Barrier) -> Problem:
+    """The problem that these settings describe."""
+    weights = Weights(
+        position=planning.weight_position,
+        heading=planning.weight_heading,
+        speed=planning.weight_speed,
+        turn=planning.weight_turn,
+        accel=planning.weight_accel,
+        turn_accel=planning.weight_turn_accel,
+        terminal=planning.weight_terminal,
+    )
+    return Problem(
+        vehicle=vehicle,
+        steps=planning.steps,
+        step_s=planning.step_s,
+        first_step_s=1.0 / planning.rate_hz,
+        weights=weights,
+        barrier=barrier,
+        slack_weight=planning.slack_weight,
+    )
+
+
+def _failed(start: str, dropped: int) -> Details:
+    """What is known of a problem that no start solved: nothing but that."""
+    nothing = np.empty((0, 0))
+    return Details(
+        status=SolverStatus.FAILED.value,
+        start=start,
+        iterations=0,
+        merit=np.nan,
+        violation_m2=np.nan,
+        decay=np.nan,
+        feasible=False,
+        track_id=np.empty(0, dtype=np.int64),
+        barrier_m2=nothing,
+        gamma=nothing,
+        slack_m2=nothing,
+        dropped=dropped,
+    )
