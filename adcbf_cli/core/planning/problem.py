@@ -15,7 +15,7 @@ import enum
 from dataclasses import dataclass
 
 from adcbf_cli.core.planning.barrier import Barrier
-from adcbf_cli.core.types import FloatArray, IntArray
+from adcbf_cli.core.types import BoolArray, FloatArray, IntArray
 from adcbf_cli.core.vehicles.vehicle import Vehicle
 
 
@@ -108,7 +108,7 @@ class Obstacles:
     radius_m: FloatArray
     margin_m: FloatArray
     velocity_mps: FloatArray
-    is_static: FloatArray
+    is_static: BoolArray
 
     def __len__(self) -> int:
         return len(self.track_id)
