@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -98,8 +99,10 @@ def score(job: Job, outcome: Outcome, place_truth: PlaceTruth | None, notes: Not
 
     folder = outcome.folder.path
     config = scoring_config(job.config, notes)
-    truth = None if place_truth is None else _place(place_truth, job, outcome, config, notes)
-    return evaluate_records(read_clusters(folder), read_tracks(folder), read_predictions(folder), truth, config, notes)
+    truth = None if place_truth is None else placed_truth(place_truth, job, outcome, notes)
+    return evaluate_records(
+        read_clusters(folder), read_tracks(folder), partial(read_predictions, folder), truth, config, notes
+    )
 
 
 def scoring_config(config: Config, notes: Notes) -> EvaluationConfig:
@@ -121,10 +124,10 @@ def possible_metrics(config: EvaluationConfig) -> list[str]:
 
     none, no_ids = np.zeros(0), np.zeros(0, dtype=np.int64)
     empty = Truth("world", no_ids, no_ids, (), np.zeros((0, 3)), none, none, none, none)
-    return list(evaluate_records((), (), (), empty, config, Notes()).metrics)
+    return list(evaluate_records((), (), tuple, empty, config, Notes()).metrics)
 
 
-def _place(place_truth: PlaceTruth, job: Job, outcome: Outcome, config: EvaluationConfig, notes: Notes) -> Truth:
+def placed_truth(place_truth: PlaceTruth, job: Job, outcome: Outcome, notes: Notes) -> Truth:
     """The truth at the run's frames, in its world."""
     from adcbf_cli.core.evaluation.scene import truth_in_world
     from adcbf_cli.io.parquet import read_table
@@ -137,7 +140,7 @@ def _place(place_truth: PlaceTruth, job: Job, outcome: Outcome, config: Evaluati
         stamp_ns=frames["timestamp_ns"].to_numpy(),
         log=job.log,
         world_frame=outcome.manifest.selection.get("world_frame"),
-        kitti_first_frame=config.truth_first_frame,
+        kitti_first_frame=job.config.evaluation.truth_first_frame,
     )
     truth = place_truth(context, notes)
     poses = ((record.stamp_ns, record.world_from_sensor) for record in read_clusters(outcome.folder.path))

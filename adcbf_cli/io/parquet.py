@@ -23,6 +23,9 @@ from adcbf_cli.io.schemas import SCHEMAS
 SCHEMA_VERSION = 1
 METADATA_KEY = b"adcbf"
 ROWS_PER_GROUP = 50_000
+ROWS_READ = 4096
+READ_BUFFER_BYTES = 1 << 16
+"""Of each column, while a table is read back."""
 PIECES_HELD = 200
 """So many frames' rows wait as tables of their own; then they become one. A table of one row takes a
 hundred times its numbers' memory."""
@@ -107,10 +110,14 @@ def read_table(path: Path, columns: list[str]) -> pa.Table:
         return pq.read_table(path, columns=columns)
 
 
-def batches(path: Path, **options: Any) -> Iterator[pa.RecordBatch]:
-    """A table's rows, a batch at a time. AdcbfError where it is damaged."""
+def batches(path: Path, batch_size: int, columns: list[str] | None = None) -> Iterator[pa.RecordBatch]:
+    """A table's rows, a batch at a time. AdcbfError where it is damaged.
+
+    Without pre-buffering, which would hold the whole file's compressed columns.
+    """
     with _told_as_damage(path):
-        yield from pq.ParquetFile(path).iter_batches(**options)
+        file = pq.ParquetFile(path, pre_buffer=False, buffer_size=READ_BUFFER_BYTES)
+        yield from file.iter_batches(batch_size=batch_size, columns=columns)
 
 
 @contextmanager

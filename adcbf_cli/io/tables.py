@@ -20,8 +20,10 @@ import pyarrow as pa
 
 from adcbf_cli.core import frames as se3
 from adcbf_cli.core.types import NO_ID, Clusters, PointCounts, Predictions, Tracks, TrackStatus
-from adcbf_cli.io.parquet import ROWS_PER_GROUP, Columns, batches
+from adcbf_cli.io.parquet import ROWS_READ, Columns, batches
 from adcbf_cli.io.schemas import COUNTS, POSE, SCHEMAS
+
+FRAMES_READ = 256
 
 
 def _ids(values: np.ndarray) -> pa.Array:
@@ -149,7 +151,7 @@ class _Rows:
     """A table's rows, read in batches, handed out frame by frame as dicts of numpy arrays."""
 
     def __init__(self, path: Path) -> None:
-        self._batches = batches(path, batch_size=ROWS_PER_GROUP)
+        self._batches = batches(path, batch_size=ROWS_READ)
         self._rest = SCHEMAS[path.stem].empty_table()
         self._index = np.zeros(0, dtype=np.int32)
 
@@ -181,7 +183,7 @@ def _matrix(rows: pa.Table, name: str) -> np.ndarray:
 
 def _frame_rows(path: Path) -> Iterator[tuple[dict[str, Any], np.ndarray]]:
     """Rows of `frames` with each frame's world_from_sensor."""
-    for batch in batches(path):
+    for batch in batches(path, batch_size=FRAMES_READ):
         for row in batch.to_pylist():
             pose = [row[name] for name in POSE]
             yield row, se3.pose_matrix(np.array(pose[:3]), np.array(pose[3:]))

@@ -74,7 +74,7 @@ def test_records_come_back_as_they_went(
 
 def test_frames_that_straddle_read_batches_stay_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clusters, _, _ = write_run(tmp_path, [3, 0, 4, 1, 4])
-    monkeypatch.setattr(tables, "ROWS_PER_GROUP", 2)
+    monkeypatch.setattr(tables, "ROWS_READ", 2)
     for ours, theirs in zip(clusters, tables.read_clusters(tmp_path), strict=True):
         assert_same(ours, theirs)
 

@@ -1,9 +1,10 @@
-"""The whole evaluation of a run: two passes, one over clusters and tracks, one over predictions."""
+"""The whole evaluation of a run: one pass over all its records, and, with ground truth, another one over
+the predictions, since an object's bias is known only at the end."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import fields, replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,10 @@ from adcbf_cli.core.config import EvaluationConfig
 from adcbf_cli.core.errors import AdcbfError
 from adcbf_cli.core.evaluation.accuracy import Accuracy
 from adcbf_cli.core.evaluation.association import AssociationScore
-from adcbf_cli.core.evaluation.blocks import block_keys
 from adcbf_cli.core.evaluation.detection import DetectionScore
-from adcbf_cli.core.evaluation.forecasts import ForecastScore, Reference
+from adcbf_cli.core.evaluation.forecasts import ForecastScore, Reference, target_stamps
 from adcbf_cli.core.evaluation.formulas import bearing, rotate
+from adcbf_cli.core.evaluation.later import LaterSeen
 from adcbf_cli.core.evaluation.lives import TrackLives, reported
 from adcbf_cli.core.evaluation.matching import assign
 from adcbf_cli.core.evaluation.report import Report
@@ -33,34 +34,33 @@ AGAINST_TRUTH = Reference(
         "still_": "; had every track been predicted to stay where it is, for comparison",
     },
 )
-AGAINST_LATER = {
-    "later_seen": Reference("later_seen", "later seen", {}),
-    "later_seen.moving": Reference("later_seen.moving", "later seen", {}),
-}
 
 
 def evaluate(
     frames: Iterable[Clusters],
     tracks: Iterable[Tracks],
-    predictions: Iterable[Predictions],
+    predictions: Callable[[], Iterable[Predictions]],
     truth: Truth | None,
     config: EvaluationConfig,
     notes: Notes,
 ) -> Report:
     """Scores one run.
 
-    frames, tracks: one record a LiDAR frame each, the same frames in the same order. predictions:
-    the same run's, at most one record a frame. truth: in the world frame (`truth_in_world`), or
+    frames, tracks: one record a LiDAR frame each, the same frames in the order of time. predictions:
+    gives the same run's, at most one record a frame, in the same order; called once, and again where
+    there is truth, for memory does not hold them all. truth: in the world frame (`truth_in_world`), or
     None, which leaves the metrics that need none. AdcbfError if the records do not belong together.
     """
     range_m = DEFAULT_RANGE_M if config.range_m is None else config.range_m
     scene = None if truth is None else Scene(truth, config, range_m)
     evaluation = _Evaluation(scene, config)
+    waiting = _UpTo(predictions())
     for clusters, alive in _together(frames, tracks):
-        evaluation.frame(clusters, alive)
-    evaluation.end_of_frames()
-    for record in predictions:
-        evaluation.predictions(record)
+        evaluation.frame(clusters, alive, waiting(alive.frame_index))
+    evaluation.end_of_frames(waiting(None))
+    if scene is not None:
+        for record in predictions():
+            evaluation.against_truth(scene, record)
     report = evaluation.report()
     report.basis = _basis(truth, scene, config, range_m)
     if scene is not None and not evaluation.labelled_in_range:
@@ -81,6 +81,20 @@ def _together(frames: Iterable[Clusters], tracks: Iterable[Tracks]) -> Iterator[
         raise AdcbfError(problem) from None
 
 
+class _UpTo:
+    """Hands out predictions as far as the frame that they were made in."""
+
+    def __init__(self, predictions: Iterable[Predictions]) -> None:
+        self._rest = iter(predictions)
+        self._next = next(self._rest, None)
+
+    def __call__(self, frame_index: int | None) -> Iterator[Predictions]:
+        """Those of frames up to `frame_index`, or all that are left."""
+        while self._next is not None and (frame_index is None or self._next.frame_index <= frame_index):
+            yield self._next
+            self._next = next(self._rest, None)
+
+
 _OF_THE_FRAME = {"frame_index", "stamp_ns", "world_from_sensor", "model"}
 
 
@@ -93,15 +107,35 @@ def _select(tracks: Tracks, keep: BoolArray) -> Tracks:
     return replace(tracks, **columns)
 
 
+@dataclass(frozen=True, slots=True)
+class _Matched:
+    """One frame's tracks that stood for objects: track_id, object_id (k,), where each track was (k, 2),
+    and where the sensor was (2,)."""
+
+    track_id: IntArray
+    object_id: IntArray
+    place_m: FloatArray
+    sensor_m: FloatArray
+
+    def find(self, track_id: IntArray) -> tuple[IntArray, IntArray]:
+        """Rows of track_id (n,) that are matched, and each one's place in this record."""
+        _, rows, pairs = np.intersect1d(track_id, self.track_id, assume_unique=True, return_indices=True)
+        order = np.argsort(rows)
+        return rows[order], pairs[order]
+
+
+_NO_IDS = np.zeros(0, dtype=np.int64)
+_NOTHING_MATCHED = _Matched(_NO_IDS, _NO_IDS, np.zeros((0, 2)), np.zeros(2))
+
+
 class _Evaluation:
     """The scores while they grow."""
 
     def __init__(self, scene: Scene | None, config: EvaluationConfig) -> None:
         self._scene = scene
         self._config = config
-        self._block_ns = round(config.bootstrap_block_s * 1e9)
         self._lives = TrackLives()
-        self._later = {name: ForecastScore(ref, config.horizons_s) for name, ref in AGAINST_LATER.items()}
+        self._later = LaterSeen(config)
         self.labelled_in_range = 0
         if scene is not None:
             self._detection = DetectionScore(scene, config)
@@ -109,13 +143,15 @@ class _Evaluation:
             self._clustering = Accuracy(scene, "clustering", "cluster")
             self._tracking = Accuracy(scene, "tracking", "track")
             self._forecast = ForecastScore(AGAINST_TRUTH, config.horizons_s)
-            self._matched: dict[int, dict[int, tuple[int, FloatArray]]] = {}
-            self._sensor_m: dict[int, FloatArray] = {}
+            self._matched: dict[int, _Matched] = {}
             self._frames_of: dict[int, list[int]] = {}
-            self._last_step: dict[int, list[float]] = {}
+            self._last_step: dict[int, list[float]] = {}  # sum, count
 
-    def frame(self, clusters: Clusters, tracks: Tracks) -> None:
+    def frame(self, clusters: Clusters, tracks: Tracks, predictions: Iterable[Predictions]) -> None:
         self._lives.add(tracks, len(clusters))
+        self._later.see(tracks)
+        for record in predictions:
+            self._later.predict(record)
         scene = self._scene
         if scene is None:
             return
@@ -142,13 +178,14 @@ class _Evaluation:
             alive.stamp_ns,
             alive.world_from_sensor,
         )
-        matched_objects = objects.object_id[match.rows].tolist()
-        matched_tracks = alive.track_id[match.columns].tolist()
-        places = alive.state[match.columns, :2]
-        self._matched[alive.frame_index] = {
-            track: (i, place) for track, i, place in zip(matched_tracks, matched_objects, places, strict=True)
-        }
-        self._sensor_m[alive.frame_index] = alive.world_from_sensor[:2, 3]
+        matched_objects = objects.object_id[match.rows]
+        if len(matched_objects):
+            self._matched[alive.frame_index] = _Matched(
+                alive.track_id[match.columns],
+                matched_objects,
+                alive.state[match.columns, :2],
+                alive.world_from_sensor[:2, 3].copy(),
+            )
         for i in objects.object_id[objects.in_range].tolist():
             seen = self._frames_of.setdefault(i, [0, 0])
             seen[0] += 1
@@ -167,35 +204,20 @@ class _Evaluation:
             clusters.world_from_sensor,
         )
 
-    def end_of_frames(self) -> None:
-        self._lives.finish(self._config.max_gap_s)
+    def end_of_frames(self, predictions: Iterable[Predictions]) -> None:
+        """What was predicted after the last frame is left."""
+        for record in predictions:
+            self._later.predict(record)
+        self._later.finish()
         if self._scene is not None:
             self._clustering.finish()
             self._tracking.finish()
 
-    def predictions(self, record: Predictions) -> None:
-        steps = record.position_m.shape[1]
-        ahead_ns = np.round(np.arange(1, steps + 1) * record.step_s * 1e9).astype(np.int64)
-        target_ns = record.stamp_ns + ahead_ns
-        self._against_later(record, target_ns)
-        if self._scene is not None:
-            self._against_truth(self._scene, record, target_ns)
-
-    def _against_later(self, record: Predictions, target_ns: IntArray) -> None:
-        n, steps = len(record), len(target_ns)
-        later, _ = self._lives.later_seen.at(np.repeat(record.track_id, steps), np.tile(target_ns, n))
-        error = record.position_m[..., :2] - later.reshape(n, steps, 2)
-        stamps = np.full(n, record.stamp_ns, dtype=np.int64)
-        blocks = block_keys(record.track_id, stamps, self._block_ns)
-        for name, rows in (("later_seen", np.arange(n)), ("later_seen.moving", np.flatnonzero(~record.is_static))):
-            self._later[name].add(record, rows, blocks[rows], error[rows], {})
-
-    def _against_truth(self, scene: Scene, record: Predictions, target_ns: IntArray) -> None:
-        matched = self._matched.get(record.frame_index, {})
-        rows = np.array([i for i, t in enumerate(record.track_id.tolist()) if t in matched], dtype=np.int64)
-        pairs = [matched[t] for t in record.track_id[rows].tolist()]
-        objects = np.array([i for i, _ in pairs], dtype=np.int64)
-        place = np.array([at for _, at in pairs]).reshape(-1, 1, 2)
+    def against_truth(self, scene: Scene, record: Predictions) -> None:
+        matched = self._matched.get(record.frame_index, _NOTHING_MATCHED)
+        rows, pairs = matched.find(record.track_id)
+        objects, place = matched.object_id[pairs], matched.place_m[pairs, None]
+        target_ns = target_stamps(record)
         p, steps = len(rows), len(target_ns)
         true_m, yaw = scene.position_at(np.repeat(objects, steps), np.tile(target_ns, p))
         true_m, yaw = true_m.reshape(p, steps, 2), yaw.reshape(p, steps)
@@ -203,7 +225,7 @@ class _Evaluation:
         biases = [self._tracking.biases[i] for i in objects.tolist()]
         sight = np.array([b.sight_m for b in biases]).reshape(p, 1, 2)
         body = np.array([b.body_m for b in biases]).reshape(p, 1, 2)
-        line = bearing(self._sensor_m[record.frame_index], true_m) if p else np.zeros((0, steps))
+        line = bearing(matched.sensor_m, true_m)
         corrected = {
             "sight_corrected_": error - rotate(np.broadcast_to(sight, error.shape), line),
             "body_corrected_": error - rotate(np.broadcast_to(body, error.shape), yaw),
@@ -213,7 +235,9 @@ class _Evaluation:
         last = np.hypot(error[:, -1, 0], error[:, -1, 1])
         for i, distance in zip(objects.tolist(), last.tolist(), strict=True):
             if np.isfinite(distance):
-                self._last_step.setdefault(i, []).append(distance)
+                known = self._last_step.setdefault(i, [0.0, 0])
+                known[0] += distance
+                known[1] += 1
 
     def report(self) -> Report:
         report = Report()
@@ -224,8 +248,7 @@ class _Evaluation:
             report.metrics |= self._detection.metrics()
             report.metrics |= self._association.metrics()
             report.objects = self._object_rows(self._scene)
-        for score in self._later.values():
-            report.metrics |= score.metrics()
+        report.metrics |= self._later.metrics()
         report.metrics |= self._lives.metrics()
         return report
 
@@ -243,8 +266,8 @@ class _Evaluation:
                 "track_rmse_m": tracking.get(i, nothing).get("rmse_m"),
                 "track_rmse_sight_corrected_m": tracking.get(i, nothing).get("rmse_sight_corrected_m"),
                 **biases.get(i, nothing),
-                "predictions": len(self._last_step.get(i, ())),
-                "last_step_error_m": float(np.mean(self._last_step[i])) if i in self._last_step else None,
+                "predictions": int(self._last_step.get(i, (0.0, 0))[1]),
+                "last_step_error_m": self._last_step[i][0] / self._last_step[i][1] if i in self._last_step else None,
             }
             for i, (frames, tracked) in sorted(self._frames_of.items())
         ]

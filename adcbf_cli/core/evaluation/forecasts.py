@@ -26,6 +26,14 @@ STEP_SAMPLE = "prediction and step"
 SAMPLE = "prediction"
 
 
+def target_stamps(predictions: Predictions) -> IntArray:
+    """(N,) the stamps that a record's steps are for, int64 ns."""
+    steps = predictions.position_m.shape[1]
+    ahead_ns = np.round(np.arange(1, steps + 1) * predictions.step_s * 1e9).astype(np.int64)
+    targets: IntArray = predictions.stamp_ns + ahead_ns
+    return targets
+
+
 @dataclass(frozen=True, slots=True)
 class Reference:
     """What predictions are held against. name: the metrics' prefix. what: for definitions.

@@ -1,12 +1,13 @@
-"""Track lives: what can be said of tracks without ground truth, and where each was later seen."""
+"""Track lives: what can be said of tracks without ground truth."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from adcbf_cli.core.evaluation.paths import Paths
+from adcbf_cli.core.evaluation.quantiles import QuantileSums
 from adcbf_cli.core.evaluation.report import Metric
-from adcbf_cli.core.types import NO_ID, BoolArray, FloatArray, IntArray, Tracks, TrackStatus
+from adcbf_cli.core.types import NO_ID, BoolArray, FloatArray, Tracks, TrackStatus
 
 RESTART_S = 2.0
 RESTART_M = 1.0
@@ -19,50 +20,83 @@ def reported(tracks: Tracks) -> BoolArray:
     return known
 
 
+_Life = np.dtype(
+    [
+        ("id", np.int64),
+        ("alive_ns", np.int64),
+        ("first_ns", np.int64),
+        ("last_ns", np.int64),
+        ("start_m", np.float64, 2),
+        ("end_m", np.float64, 2),
+    ]
+)
+"""One track: when it was last alive, and when and where it was first and last reported; first_ns is
+NEVER for as long as it was not."""
+NEVER = np.iinfo(np.int64).min
+_LET_GO_NS = 10_000_000_000
+"""A track that is not among the living for so long does not come back under its id."""
+_PIECES = 200
+
+
 class TrackLives:
-    """Every reported track's positions, as compact arrays; feed it every frame."""
+    """Counts and ends of tracks; feed it every frame. What it keeps is one short row for each track that
+    was ever reported, and bounded sums over frames."""
 
     def __init__(self) -> None:
-        self._parts: list[tuple[IntArray, IntArray, FloatArray, BoolArray, IntArray]] = []
-        self._created: set[int] = set()
+        self._alive = np.zeros(0, dtype=_Life)
+        self._gone: list[NDArray[np.void]] = []
+        self._speed_mps = QuantileSums()
+        self._created = self._samples = self._seen = self._static = 0
         self.frames = 0
         self.clusters = 0
 
     def add(self, tracks: Tracks, clusters: int) -> None:
-        """One frame's tracks, and how many clusters it had."""
+        """One frame's tracks, and how many clusters it had. Frames come in the order of time."""
+        shown = reported(tracks)
         self.frames += 1
         self.clusters += clusters
-        self._created.update(tracks.track_id.tolist())
-        keep = reported(tracks)
-        stamps = np.full(int(keep.sum()), tracks.stamp_ns, dtype=np.int64)
-        motion = tracks.state[keep][:, [0, 1, 3, 4]]
-        self._parts.append((tracks.track_id[keep], stamps, motion, tracks.is_static[keep], tracks.cluster_id[keep]))
+        self._samples += int(shown.sum())
+        self._seen += int((tracks.cluster_id[shown] != NO_ID).sum())
+        self._static += int(tracks.is_static[shown].sum())
+        velocity = tracks.state[shown & ~tracks.is_static, 3:5]
+        self._speed_mps.add(np.hypot(velocity[:, 0], velocity[:, 1]))
+        self._follow(tracks, shown)
 
-    def finish(self, max_gap_s: float) -> None:
-        """Joins the frames."""
-        if self._parts:
-            joined = [np.concatenate(column) for column in zip(*self._parts, strict=True)]
-        else:
-            none = np.zeros(0, dtype=np.int64)
-            joined = [none, none, np.zeros((0, 4)), np.zeros(0, dtype=bool), none]
-        self._id, self._stamp_ns, self._motion, self._static, cluster_id = joined
-        self._seen = cluster_id != NO_ID
-        self.later_seen = Paths(
-            self._id[self._seen], self._stamp_ns[self._seen], self._motion[self._seen, :2], round(max_gap_s * 1e9)
-        )
+    def _follow(self, tracks: Tracks, shown: BoolArray) -> None:
+        """Brings the rows of the living up to this frame."""
+        new = np.setdiff1d(tracks.track_id, self._alive["id"])
+        rows = np.zeros(len(new), dtype=_Life)
+        rows["id"], rows["first_ns"] = new, NEVER
+        self._created += len(new)
+        alive = np.concatenate([self._alive, rows])
+        alive = alive[np.argsort(alive["id"])]
+        alive["alive_ns"][np.searchsorted(alive["id"], tracks.track_id)] = tracks.stamp_ns
+        at, place = np.searchsorted(alive["id"], tracks.track_id[shown]), tracks.state[shown, :2]
+        first = alive["first_ns"][at] == NEVER
+        alive["first_ns"][at[first]], alive["start_m"][at[first]] = tracks.stamp_ns, place[first]
+        alive["last_ns"][at], alive["end_m"][at] = tracks.stamp_ns, place
+        gone = alive["alive_ns"] < tracks.stamp_ns - _LET_GO_NS
+        self._alive = alive[~gone]
+        self._gone.append(alive[gone & (alive["first_ns"] != NEVER)])
+        if len(self._gone) >= _PIECES:
+            self._gone = [np.concatenate(self._gone)]
+
+    def _lives(self) -> NDArray[np.void]:
+        """The rows of all tracks that were ever reported, by id."""
+        lives = np.concatenate([*self._gone, self._alive[self._alive["first_ns"] != NEVER]])
+        return lives[np.argsort(lives["id"], kind="stable")]
 
     def metrics(self) -> dict[str, Metric]:
-        first, last, start_m, end_m = self._ends()
-        life_s = (last - first) / 1e9
-        speed = np.hypot(self._motion[~self._static, 2], self._motion[~self._static, 3])
-        frames, samples, tracks = self.frames, len(self._id), len(life_s)
+        lives = self._lives()
+        life_s = (lives["last_ns"] - lives["first_ns"]) / 1e9
+        frames, samples, tracks, moving = self.frames, self._samples, len(lives), self._speed_mps.count
 
         def row(value: float | None, unit: str, n: int, sample: str, definition: str) -> Metric:
             return Metric(value if n else None, unit, n, sample, definition)
 
         return {
             "clusters.per_frame": row(_ratio(self.clusters, frames), "1", frames, "frame", "mean number of clusters"),
-            "tracks.created": row(float(len(self._created)), "1", frames, "frame", "track ids ever given out"),
+            "tracks.created": row(float(self._created), "1", frames, "frame", "track ids ever given out"),
             "tracks.confirmed": row(float(tracks), "1", frames, "frame", "tracks that were ever confirmed"),
             "tracks.per_frame": row(
                 _ratio(samples, frames), "1", frames, "frame", "mean number of reported tracks (confirmed or coasting)"
@@ -79,7 +113,7 @@ class TrackLives:
                 f"share of confirmed tracks reported for less than {SHORT_S:g} s",
             ),
             "tracks.restart_share": row(
-                _ratio(_restarts(first, last, start_m, end_m), tracks),
+                _ratio(_restarts(lives), tracks),
                 "1",
                 tracks,
                 "track",
@@ -87,38 +121,33 @@ class TrackLives:
                 "ended: likely fragments of one object",
             ),
             "tracks.coasting_share": row(
-                _ratio(int((~self._seen).sum()), samples), "1", samples, "track and frame", "share without a cluster"
+                _ratio(samples - self._seen, samples), "1", samples, "track and frame", "share without a cluster"
             ),
             "tracks.static_share": row(
-                _ratio(int(self._static.sum()), samples), "1", samples, "track and frame", "share taken as static"
+                _ratio(self._static, samples), "1", samples, "track and frame", "share taken as static"
             ),
             "tracks.speed_mps.median": row(
-                _quantile(speed, 0.5), "m/s", len(speed), "moving track and frame", "median speed of non-static tracks"
+                self._speed_mps.quantile(0.5),
+                "m/s",
+                moving,
+                "moving track and frame",
+                "median speed of non-static tracks",
             ),
             "tracks.speed_mps.p90": row(
-                _quantile(speed, 0.9), "m/s", len(speed), "moving track and frame", "90 % quantile of the same"
+                self._speed_mps.quantile(0.9), "m/s", moving, "moving track and frame", "90 % quantile of the same"
             ),
         }
 
-    def _ends(self) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-        """Each track's first and last reported time and place."""
-        order = np.lexsort((self._stamp_ns, self._id))
-        ids = self._id[order]
-        first = np.flatnonzero(np.diff(ids, prepend=ids[:1] - 1)) if len(ids) else np.zeros(0, dtype=np.int64)
-        last = np.append(first[1:], len(ids)) - 1 if len(ids) else first
-        stamps, places = self._stamp_ns[order], self._motion[order, :2]
-        return stamps[first], stamps[last], places[first], places[last]
 
-
-def _restarts(first_ns: IntArray, last_ns: IntArray, start_m: FloatArray, end_m: FloatArray) -> int:
+def _restarts(lives: NDArray[np.void]) -> int:
     """How many tracks begin soon after and near where another ended."""
-    by_end = np.argsort(last_ns, kind="stable")
-    ended_ns, ended_m = last_ns[by_end], end_m[by_end]
-    low = np.searchsorted(ended_ns, first_ns - round(RESTART_S * 1e9))
-    high = np.searchsorted(ended_ns, first_ns)
+    by_end = np.argsort(lives["last_ns"], kind="stable")
+    ended_ns, ended_m = lives["last_ns"][by_end], lives["end_m"][by_end]
+    low = np.searchsorted(ended_ns, lives["first_ns"] - round(RESTART_S * 1e9))
+    high = np.searchsorted(ended_ns, lives["first_ns"])
     found = 0
     for i, (a, b) in enumerate(zip(low.tolist(), high.tolist(), strict=True)):
-        offset = ended_m[a:b] - start_m[i]
+        offset = ended_m[a:b] - lives["start_m"][i]
         found += bool((np.hypot(offset[:, 0], offset[:, 1]) <= RESTART_M).any())
     return found
 

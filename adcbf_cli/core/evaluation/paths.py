@@ -8,8 +8,8 @@ from adcbf_cli.core.frames import wrap_angle
 from adcbf_cli.core.types import BoolArray, FloatArray, IntArray
 
 EDGE_TOLERANCE_NS = 1_000_000
-"""A path still answers this long before its first and after its last sample: stamps written with
-few decimals round to either side."""
+"""A path still answers this long before its first and after its last sample, and on either side of a
+gap: stamps written with few decimals round to either side."""
 
 
 class Paths:
@@ -47,20 +47,21 @@ class Paths:
         if not len(self.ids):
             return result, np.zeros(len(ids), dtype=bool)
         rank = np.minimum(np.searchsorted(self.ids, ids), len(self.ids) - 1)
-        near_start = np.abs(stamp_ns - self.start_ns[rank]) <= EDGE_TOLERANCE_NS
-        near_end = np.abs(stamp_ns - self.end_ns[rank]) <= EDGE_TOLERANCE_NS
-        within = ((stamp_ns >= self.start_ns[rank]) & (stamp_ns <= self.end_ns[rank])) | near_start | near_end
-        known = (self.ids[rank] == ids) & within
+        begun = stamp_ns >= self.start_ns[rank] - EDGE_TOLERANCE_NS
+        known = (self.ids[rank] == ids) & begun & (stamp_ns <= self.end_ns[rank] + EDGE_TOLERANCE_NS)
         rank = rank[known]
         time = np.clip(stamp_ns[known], self.start_ns[rank], self.end_ns[rank])
         place = rank * (len(self._times_ns) + 1) + np.searchsorted(self._times_ns, time)
         after = np.searchsorted(self._key, place)
         exact = self._time_ns[after] == time
         before = np.where(exact, after, after - 1)
-        gap = self._time_ns[after] - self._time_ns[before]
-        weight = (time - self._time_ns[before]) / np.maximum(gap, 1)
-        result[known] = self._blend(before, after, weight)
-        bridged = gap <= self._max_gap_ns
+        since, until = time - self._time_ns[before], self._time_ns[after] - time
+        gap = since + until
+        # At a gap's edges the nearer sample answers alone.
+        after = np.where((gap > self._max_gap_ns) & (since <= EDGE_TOLERANCE_NS), before, after)
+        before = np.where((gap > self._max_gap_ns) & (until <= EDGE_TOLERANCE_NS), after, before)
+        result[known] = self._blend(before, after, since / np.maximum(gap, 1))
+        bridged = (gap <= self._max_gap_ns) | (np.minimum(since, until) <= EDGE_TOLERANCE_NS)
         found = np.flatnonzero(known)
         result[found[~bridged]] = np.nan
         known[found[~bridged]] = False

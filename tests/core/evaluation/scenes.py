@@ -175,7 +175,7 @@ class Run:
         return evaluate(
             map(self.clusters, frames),
             map(self.tracks, frames),
-            map(self.predictions, frames),
+            lambda: map(self.predictions, frames),
             self.truth() if with_truth else None,
             config or EvaluationConfig(range_m=50.0),
             self.notes,

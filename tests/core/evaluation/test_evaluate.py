@@ -229,7 +229,7 @@ def test_outside_range_view_and_sectors_nothing_is_right_or_wrong() -> None:
     ignoring = type(truth)(**{**{f: getattr(truth, f) for f in truth.__slots__}, "ignored": sector})
     config = EvaluationConfig(range_m=20.0, truth_fov_deg=(-180.0, 180.0))
     frames = range(run.count)
-    scored = evaluate(map(run.clusters, frames), map(run.tracks, frames), (), ignoring, config, Notes())
+    scored = evaluate(map(run.clusters, frames), map(run.tracks, frames), tuple, ignoring, config, Notes())
     assert value(scored, "clear.false_positives") == 20
 
 
@@ -322,7 +322,7 @@ def test_records_of_different_runs_are_refused() -> None:
     run = Run([], [Seen(WALK)])
     for tracks in (map(run.tracks, range(1, 41)), map(run.tracks, range(20))):
         with pytest.raises(AdcbfError, match="not of the same frames"):
-            evaluate(map(run.clusters, range(40)), tracks, (), None, EvaluationConfig(), Notes())
+            evaluate(map(run.clusters, range(40)), tracks, tuple, None, EvaluationConfig(), Notes())
 
 
 def test_truth_of_another_time_is_pointed_out() -> None:
