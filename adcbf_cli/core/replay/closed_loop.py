@@ -36,7 +36,7 @@ def replay(
     entries: Sequence[Entry],
     predictions: Iterable[Predictions],
     world: RecordedWorld,
-    log_path: LogPath,
+    log_path: LogPath | None,
     vehicle: Vehicle,
     config: Config,
     clock: Callable[[], int],
@@ -44,11 +44,11 @@ def replay(
 ) -> list[Drive]:
     """One drive an entry, in their order.
 
-    predictions: ascending in time, read once. clock: nanoseconds, read around each planning step only.
+    predictions: ascending in time, read once. log_path: None where nothing drove in the recording. clock: nanoseconds, read around each planning step only.
     AdcbfError where there is no prediction at all.
     """
     setting = Setting(world, log_path, vehicle, config)
-    feed = PerceptionFeed(predictions, log_path, notes, vehicle.body_radius_m)
+    feed = PerceptionFeed(predictions, setting, notes)
     drives = [_Driver(entry, setting, clock, notes) for entry in entries]
     under_way = list(drives)
     while under_way:
@@ -62,24 +62,23 @@ def replay(
 class PerceptionFeed:
     """Predictions in order of time, taken in as time goes on."""
 
-    def __init__(
-        self, predictions: Iterable[Predictions], log_path: LogPath, notes: Notes, body_radius_m: float
-    ) -> None:
+    def __init__(self, predictions: Iterable[Predictions], setting: Setting, notes: Notes) -> None:
         """AdcbfError where there is none."""
         self._records: Iterator[Predictions] = iter(predictions)
         self._next: Predictions | None = next(self._records, None)
         if self._next is None:
             raise AdcbfError("there are no predictions to plan with: no obstacle was ever tracked long enough")
-        self._log_path = log_path
-        self._knowledge = Knowledge(notes, body_radius_m)
+        self._log_path = setting.log_path
+        self._end_ns = setting.recorded_ns[1]
+        self._knowledge = Knowledge(notes, setting.vehicle.body_radius_m)
 
     def at(self, stamp_ns: int) -> Knowledge:
         """What is known at this time; times must not go back."""
         while self._next is not None and self._next.stamp_ns <= stamp_ns:
-            vehicle_m = self._log_path.at(np.array([self._next.stamp_ns]))[0, :2]
-            self._knowledge.update(self._next, vehicle_m)
+            log_path, now = self._log_path, np.array([self._next.stamp_ns])
+            self._knowledge.update(self._next, None if log_path is None else log_path.at(now)[0, :2])
             self._next = next(self._records, None)
-        if self._next is None and stamp_ns > self._log_path.end_ns:
+        if self._next is None and stamp_ns > self._end_ns:
             self._knowledge.end()
         return self._knowledge
 

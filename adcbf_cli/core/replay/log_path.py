@@ -84,6 +84,17 @@ class LogPath:
         yaw = np.arctan2(matrix[:, 1, 0], matrix[:, 0, 0])
         return cls(stamps, np.column_stack([matrix[:, 0, 3], matrix[:, 1, 3], yaw]))
 
+    @classmethod
+    def nowhere(cls, frames: Iterable[Posed]) -> LogPath:
+        """Of a recording in which nothing drove, such as an object list: its times, with poses that are NaN."""
+        stamps = np.array([frame.stamp_ns for frame in frames], dtype=np.int64)
+        return cls(stamps, np.full((len(stamps), 3), np.nan))
+
+    @property
+    def known(self) -> bool:
+        """Whether anything drove there at all."""
+        return bool(np.isfinite(self.pose).any())
+
     @property
     def start_ns(self) -> int:
         return int(self.stamp_ns[0])

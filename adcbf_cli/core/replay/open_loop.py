@@ -47,7 +47,7 @@ def plan_along(
     """
     check_speed(log_path, config)
     setting = Setting(world, log_path, vehicle, config)
-    feed = PerceptionFeed(predictions, log_path, notes, vehicle.body_radius_m)
+    feed = PerceptionFeed(predictions, setting, notes)
     logs = [DriveLog(setting, planner.name, 0, path, keep_stages=True) for planner in planners]
     errors: list[list[FloatArray]] = [[] for _ in planners]
     planning = config.planning
@@ -73,9 +73,10 @@ def plan_along(
     return [log.drive(period_s, None, np.stack(error)) for log, error in zip(logs, errors, strict=True)]
 
 
-def logged_drive(log_path: LogPath, world: RecordedWorld, path: ReferencePath, config: Config) -> Drive:
-    """The log's own driver, measured as the planners are."""
-    vehicle = Vehicle.from_config(config.vehicle)
+def logged_drive(
+    log_path: LogPath, world: RecordedWorld, path: ReferencePath, vehicle: Vehicle, config: Config
+) -> Drive:
+    """The log's own driver, measured as the planners are, with this vehicle's body and inputs."""
     log = DriveLog(Setting(world, log_path, vehicle, config), LOGGED, 0, path, keep_stages=False)
     along_m: float | None = None
     inputs = logged_inputs(log_path, vehicle)

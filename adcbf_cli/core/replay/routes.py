@@ -19,6 +19,9 @@ from adcbf_cli.core.vehicles.vehicle import Vehicle
 PAPER_SPEED_MPS = 0.75
 """The paper's path of 36 m takes 47 to 50 s."""
 
+MOVING_MPS = 0.05
+"""Slower is standing still."""
+
 ROUTE_SPACING_M = 0.1
 """Points of a logged path closer than this say more about the pose's noise than about the path."""
 
@@ -63,6 +66,12 @@ def reference_speed(config: Config) -> float:
     return wanted
 
 
+def logged_speed(log_path: LogPath) -> float:
+    """The mean speed, m/s, at which the log's vehicle moved, where it did; the paper's where it never did."""
+    moving = log_path.speed_mps[np.abs(np.nan_to_num(log_path.speed_mps)) > MOVING_MPS]
+    return float(np.abs(moving).mean()) if len(moving) else PAPER_SPEED_MPS
+
+
 def route_from_log(log_path: LogPath, speed_mps: float) -> ReferencePath:
     """The path that the log's vehicle took. UsageError where it stood still."""
     points = log_path.smooth_m
@@ -100,7 +109,7 @@ class MapBox:
 
 def map_box(log_path: LogPath, world: RecordedWorld, range_m: float) -> MapBox:
     """The box around the logged path and everything seen, grown by the sensor's range."""
-    corners = [log_path.pose[:, :2].min(axis=0), log_path.pose[:, :2].max(axis=0)]
+    corners = [log_path.pose[:, :2].min(axis=0), log_path.pose[:, :2].max(axis=0)] if log_path.known else []
     seen = world.bounds()
     if seen is not None:
         corners += list(seen)
