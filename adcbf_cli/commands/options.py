@@ -1,7 +1,7 @@
 """The options that several commands share, declared once.
 
-`@shared_options` gives a command function, whose first parameter is a `Shared`, one command-line
-option for each of `Shared`'s fields. Nothing heavy is imported here: `--help` stays fast.
+`@shared_options` gives a command function that takes a `Shared` (and a `Driving`) one command-line
+option for each of their fields. Nothing heavy is imported here: `--help` stays fast.
 """
 
 from __future__ import annotations
@@ -77,28 +77,95 @@ class Shared:
         }
 
 
+@dataclass(frozen=True)
+class Driving:
+    """What `plan` and `replay` both take."""
+
+    planner: Annotated[
+        list[str] | None,
+        typer.Option("--planner", "-p", metavar="NAME|all", help="Planner, repeatable; default ad-cbf-mpc."),
+    ] = None
+    truth: Annotated[
+        str | None,
+        typer.Option(
+            "--truth", "-t", metavar="FILE|topic:/NAME", help="Where obstacles really were; default: smoothed tracks."
+        ),
+    ] = None
+    reference: Annotated[
+        str | None,
+        typer.Option(
+            "--reference", metavar="FILE|topic:/NAME", help="Path to follow: CSV or Path; default: the log's."
+        ),
+    ] = None
+    goal: Annotated[
+        str | None, typer.Option("--goal", metavar="X,Y", help="Straight to here (m, world), instead of a reference.")
+    ] = None
+    speed_mps: Annotated[
+        float | None, typer.Option("--speed", metavar="MPS", help="Speed along the reference; default 0.75.")
+    ] = None
+    vehicle: Annotated[str | None, typer.Option("--vehicle", metavar="KIND", help="unicycle (default), ackermann.")] = (
+        None
+    )
+    solver: Annotated[
+        str | None, typer.Option("--solver", metavar="NAME", help="sqp (default), piqp, ipopt, fatrop.")
+    ] = None
+    hard: Annotated[
+        bool | None, typer.Option("--hard", help="No slack in the barriers; infeasible steps are counted.")
+    ] = None
+    against: Annotated[
+        str | None,
+        typer.Option(
+            "--against", metavar="NAME", help="Planner that the others are compared with; default: the first."
+        ),
+    ] = None
+    fail_on: Annotated[
+        list[str] | None,
+        typer.Option("--fail-on", metavar="METRIC>NUMBER", help="Exit with 4 if this holds (< > <= >=); repeatable."),
+    ] = None
+
+    def overrides(self) -> dict[str, Any]:
+        """The dedicated flags as settings; None where a flag was not given."""
+        return {
+            "planning.reference_speed_mps": self.speed_mps,
+            "vehicle.kind": self.vehicle,
+            "planning.solver": self.solver,
+            "planning.hard": self.hard or None,
+        }
+
+
 def shared_options(command: Callable[..., None]) -> Callable[..., None]:
-    """Replaces the command's first parameter, a `Shared`, by one option for each of its fields."""
-    own = list(inspect.signature(command).parameters.values())[1:]
+    """Replaces each of the command's parameters that is a data class, such as `Shared`, by one option for each of
+    its fields."""
     hints = get_type_hints(command, include_extras=True)
-    shared_hints = get_type_hints(Shared, include_extras=True)
-    shared_fields = dataclasses.fields(Shared)
+    own = list(inspect.signature(command).parameters.values())
+    groups = {p.name: hints[p.name] for p in own if dataclasses.is_dataclass(hints[p.name])}
 
     @functools.wraps(command)
     def wrapper(**given: Any) -> None:
-        shared = Shared(**{field.name: given.pop(field.name) for field in shared_fields})
-        command(shared, **given)
+        for name, group in groups.items():
+            given[name] = group(**{field.name: given.pop(field.name) for field in dataclasses.fields(group)})
+        command(**given)
 
-    parameters = [
-        inspect.Parameter(
-            field.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default,
-            annotation=shared_hints[field.name],
-        )
-        for field in shared_fields
-    ] + [p.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[p.name]) for p in own]
+    parameters = []
+    for parameter in own:
+        if parameter.name in groups:
+            parameters += _options_of(groups[parameter.name])
+        else:
+            parameters.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=hints[parameter.name]))
     wrapper.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     wrapper.__annotations__ = {p.name: p.annotation for p in parameters}
     del wrapper.__wrapped__
     return wrapper
+
+
+def _options_of(group: Any) -> list[inspect.Parameter]:
+    hints = get_type_hints(group, include_extras=True)
+    return [
+        inspect.Parameter(
+            field.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=inspect.Parameter.empty if field.default is dataclasses.MISSING else field.default,
+            annotation=hints[field.name],
+        )
+        for field in dataclasses.fields(group)
+    ]

@@ -30,6 +30,7 @@ from adcbf_cli.core.types import Clusters, Frame, Notes, Predictions, Tracks, Tr
 from adcbf_cli.io import tables
 from adcbf_cli.io.parquet import TableWriter
 from adcbf_cli.io.run_folder import (
+    DRIVING,
     OPTIONAL_TABLES,
     STAGES,
     TABLES,
@@ -143,6 +144,8 @@ def _remove_outdated(folder: RunFolder, valid: list[str]) -> None:
     outdated = [name for stage in STAGES if stage not in valid for name in (*TABLES[stage], *OPTIONAL_TABLES[stage])]
     for path in [*map(folder.table, [*outdated, "timings"]), *(folder.path / name for name in REPORTS)]:
         path.unlink(missing_ok=True)
+    for kind in DRIVING:
+        folder.remove_driving(kind)
 
 
 def _compute(job: Job, manifest: Manifest, keys: dict[str, str], todo: tuple[str, ...]) -> Manifest:

@@ -45,6 +45,19 @@ def write_drives(folder: Path, drives: Iterable[Drive], metadata: Mapping[str, A
     return {name: writer.rows for name, writer in writers.items()}
 
 
+def write_gamma_map(folder: Path, maps: Mapping[str, tuple[FloatArray, FloatArray, FloatArray]], metadata: Any) -> None:
+    """maps: by planner, distances (d,), radii (r,) and gamma (d, r)."""
+    with TableWriter(folder / "gamma.parquet", "gamma", metadata) as writer:
+        for planner, (distance_m, radius_m, gamma) in maps.items():
+            columns = {
+                "planner": [planner] * gamma.size,
+                "distance_m": np.repeat(distance_m, len(radius_m)),
+                "radius_m": np.tile(radius_m, len(distance_m)),
+                "gamma": gamma.ravel(),
+            }
+            writer.write(columns)
+
+
 def _of_drive(drive: Drive, rows: int) -> Columns:
     return {"planner": [drive.planner] * rows, "seed": np.full(rows, drive.seed, dtype=np.int32)}
 

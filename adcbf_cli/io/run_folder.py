@@ -44,6 +44,16 @@ OPTIONAL_TABLES: dict[str, tuple[str, ...]] = {"cluster": ("points",), "track": 
 """Tables that a setting asks for."""
 
 
+DRIVING = {"plan": "open_loop", "replay": "replay"}
+"""Where in a run folder each kind of driving keeps its tables and its report."""
+
+DRIVING_FILES = (
+    *(f"{name}.parquet" for name in ("drives", "trajectories", "plans", "plan_stages", "solve_times", "gamma")),
+    "report.json",
+    "report.md",
+)
+
+
 class OutdatedRunError(AdcbfError):
     """A run folder that another version of adcbf made, or whose settings were edited into something else."""
 
@@ -134,6 +144,21 @@ class RunFolder:
 
     def table(self, name: str) -> Path:
         return self.path / f"{name}.parquet"
+
+    def driving_key(self, kind: str) -> str | None:
+        """The key of the predictions that this kind of driving is of, or None where there is none (whole)."""
+        folder = self.path / DRIVING[kind]
+        found = [table_metadata(folder / name) for name in DRIVING_FILES if name.endswith(".parquet")]
+        keys = {None if metadata is None else metadata.get("key") for metadata in found}
+        return keys.pop() if len(keys) == 1 else None
+
+    def remove_driving(self, kind: str) -> None:
+        """Removes the files of one kind of driving, and what a killed command left beside them."""
+        folder = self.path / DRIVING[kind]
+        if folder.is_dir():
+            remove_leftovers(folder)
+            for name in DRIVING_FILES:
+                (folder / name).unlink(missing_ok=True)
 
     def manifest(self) -> Manifest:
         """What the folder says of itself; AdcbfError if it says nothing intelligible."""

@@ -1,0 +1,384 @@
+"""What `plan` and `replay` share: predictions of a run, a route, planners, then tables and a report.
+
+run folder -> predictions --+
+ground truth or tracks -> world --> open loop or closed loop -> drives -> tables, comparison
+log, CSV, topic -> route --------+
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import typer
+
+from adcbf_cli.commands.options import Driving, Shared
+from adcbf_cli.commands.terminal import print_json, print_table, progress, say, show_notes
+from adcbf_cli.core.errors import EXIT_THRESHOLD, AdcbfError, UsageError
+from adcbf_cli.io.run_folder import DRIVING
+
+if TYPE_CHECKING:
+    from adcbf_cli.commands.stages import Job, Outcome
+    from adcbf_cli.core.config import Config
+    from adcbf_cli.core.evaluation.comparison import Comparison
+    from adcbf_cli.core.evaluation.thresholds import Threshold
+    from adcbf_cli.core.planning.planner import Planner
+    from adcbf_cli.core.planning.reference import ReferencePath
+    from adcbf_cli.core.replay.log_path import LogPath
+    from adcbf_cli.core.replay.records import Drive
+    from adcbf_cli.core.replay.routes import Start
+    from adcbf_cli.core.replay.world import RecordedWorld
+    from adcbf_cli.core.types import FloatArray, Notes, Predictions
+    from adcbf_cli.core.vehicles.vehicle import Vehicle
+
+_MOST_SEEDS = 10_000
+_COUNTERFACTUAL = (
+    "Counterfactual: the recorded obstacles moved as they did and would not have reacted to this vehicle; what its "
+    "own sensor would have seen is taken from the log's."
+)
+
+
+@dataclass(frozen=True)
+class _Setting:
+    """Everything that a drive happens in."""
+
+    outcome: Outcome
+    config: Config
+    vehicle: Vehicle
+    world: RecordedWorld
+    world_source: str
+    log_path: LogPath
+    route: ReferencePath
+    planners: tuple[str, ...]
+    notes: Notes
+
+    def planner(self, name: str) -> Planner:
+        from adcbf_cli.core.planning.presets import make_planner
+
+        return make_planner(name, self.vehicle, self.config.planning, self.notes)
+
+    def predictions(self) -> Iterator[Predictions]:
+        from adcbf_cli.io.tables import read_predictions
+
+        total = self.outcome.manifest.stages["cluster"].rows.get("frames")
+        return progress(read_predictions(self.outcome.folder.path), total, " + ".join(self.planners[:3]))
+
+
+def run_open_loop(shared: Shared, driving: Driving) -> None:
+    """`adcbf plan`."""
+    job, thresholds, names = _prepare(shared, driving, "plan")
+    setting = _set_up(job, shared, driving, "plan", names)
+    if not setting.log_path.known:
+        raise AdcbfError(f"{job.log}: does not say where its vehicle was, so there is no state to plan from (--pose)")
+    from adcbf_cli.core.replay.open_loop import logged_drive, plan_along
+
+    drives = plan_along(
+        [setting.planner(name) for name in names],
+        setting.predictions(),
+        setting.world,
+        setting.log_path,
+        setting.route,
+        setting.vehicle,
+        setting.config,
+        time.perf_counter_ns,
+        setting.notes,
+    )
+    drives.append(logged_drive(setting.log_path, setting.world, setting.route, setting.vehicle, setting.config))
+    _finish(setting, "plan", drives, driving, shared.json_output, thresholds)
+
+
+def run_replay(shared: Shared, driving: Driving, start: str | None, seeds: str) -> None:
+    """`adcbf replay`."""
+    numbers = parse_seeds(seeds)
+    job, thresholds, names = _prepare(shared, driving, "replay")
+    place = None if start is None else parse_numbers("--start", start, (2, 3))
+    setting = _set_up(job, shared, driving, "replay", names, place)
+    from adcbf_cli.core.replay.closed_loop import replay
+    from adcbf_cli.core.replay.open_loop import logged_drive
+    from adcbf_cli.core.replay.routes import entries_for
+
+    first = _first_start(setting, place, driving)
+    entries = entries_for(
+        names, numbers, setting.planner, setting.route, first, setting.world, setting.vehicle, setting.config
+    )
+    drives = replay(
+        entries,
+        setting.predictions(),
+        setting.world,
+        setting.log_path,
+        setting.vehicle,
+        setting.config,
+        time.perf_counter_ns,
+        setting.notes,
+    )
+    if _follows_log(setting, driving):
+        drives.append(logged_drive(setting.log_path, setting.world, setting.route, setting.vehicle, setting.config))
+    _finish(setting, "replay", drives, driving, shared.json_output, thresholds)
+
+
+def _follows_log(setting: _Setting, driving: Driving) -> bool:
+    """Whether the route is the way that the log's own vehicle took."""
+    return setting.log_path.known and driving.goal is None and driving.reference is None
+
+
+def parse_seeds(text: str) -> tuple[int, ...]:
+    """`0:20` (20 not included), `7`, or `1,4,9`: distinct seeds in the order given. UsageError otherwise."""
+    seeds: list[int] = []
+    for part in text.split(","):
+        match = re.fullmatch(r"\s*(\d{1,9})\s*(?::\s*(\d{1,9})\s*)?", part)
+        if match is None:
+            raise UsageError(f"--seeds {text!r}: expected numbers or ranges such as 0:20 or 1,4,9")
+        first = int(match[1])
+        end = first + 1 if match[2] is None else int(match[2])
+        if end - first > _MOST_SEEDS or len(seeds) > _MOST_SEEDS:
+            raise UsageError(f"--seeds {text!r}: over {_MOST_SEEDS:,} seeds; run them in parts")
+        seeds += range(first, end)
+    if not seeds:
+        raise UsageError(f"--seeds {text!r}: an empty range")
+    return tuple(dict.fromkeys(seeds))
+
+
+def parse_numbers(option: str, text: str, counts: tuple[int, ...]) -> FloatArray:
+    """Comma-separated finite numbers, as many as one of `counts`. UsageError otherwise."""
+    try:
+        numbers = np.array([float(word) for word in text.split(",")])
+    except ValueError:
+        numbers = np.zeros(0)
+    if len(numbers) not in counts or not (np.abs(numbers) < 1e7).all():
+        raise UsageError(f"{option} {text!r}: expected {' or '.join(map(str, counts))} numbers, such as 3.5,-1")
+    return numbers
+
+
+def planner_names(asked: Sequence[str] | None) -> tuple[str, ...]:
+    """The planners to run, each once, in the order given."""
+    from adcbf_cli.core.planning.presets import PLANNERS
+
+    wanted = asked or ["ad-cbf-mpc"]
+    return tuple(dict.fromkeys(name for word in wanted for name in (PLANNERS if word == "all" else (word,))))
+
+
+def _prepare(shared: Shared, driving: Driving, kind: str) -> tuple[Job, list[Threshold], tuple[str, ...]]:
+    """Everything that can be wrong in what was asked is found before any work is done."""
+    from adcbf_cli.commands.stages import plan_job
+    from adcbf_cli.core.evaluation.comparison import metric_names
+    from adcbf_cli.core.evaluation.driving import LOGGED
+    from adcbf_cli.core.evaluation.thresholds import check_names, parse_threshold
+
+    names = planner_names(driving.planner)
+    thresholds = [parse_threshold(text) for text in driving.fail_on or []]
+    check_names(thresholds, metric_names("plan" if kind == "plan" else "replay", (*names, LOGGED)))
+    if driving.against is not None and driving.against not in (*names, LOGGED):
+        raise UsageError(f"--against {driving.against}: not among the planners that run: {', '.join(names)}")
+    if driving.goal is not None and driving.reference is not None:
+        raise UsageError("--goal and --reference both say where to go; give one")
+    return plan_job(shared, driving.overrides()), thresholds, names
+
+
+def _set_up(
+    job: Job,
+    shared: Shared,
+    driving: Driving,
+    kind: str,
+    names: tuple[str, ...],
+    start: FloatArray | None = None,
+) -> _Setting:
+    """Runs the stages that are missing, and puts together what drives happen in."""
+    from adcbf_cli.commands.evaluate import placed_truth
+    from adcbf_cli.commands.stages import run_stages
+    from adcbf_cli.core.planning.presets import make_planner
+    from adcbf_cli.core.replay.world_sources import world_of
+    from adcbf_cli.core.vehicles.vehicle import Vehicle
+    from adcbf_cli.io.logs import is_object_list
+    from adcbf_cli.io.tables import read_tracks
+    from adcbf_cli.io.truth import read_truth
+
+    spec = driving.truth or (str(job.log) if is_object_list(job.log) else None)
+    place_truth = None if spec is None else read_truth(spec, job.log)
+    vehicle = Vehicle.from_config(job.config.vehicle)
+    for name in names:  # an unusable setting is told before the stages run
+        make_planner(name, vehicle, job.config.planning, _no_notes())
+    outcome = run_stages(job, "predict", shared.force)
+    if not outcome.manifest.stages["predict"].rows.get("predictions"):
+        raise AdcbfError(
+            f"{outcome.folder.path}: no predictions: no obstacle was ever confirmed in this log; "
+            "look farther with --range, or at `adcbf track`"
+        )
+    notes = outcome.notes
+    truth = None if place_truth is None else placed_truth(place_truth, job, outcome, notes)
+    world, world_source = world_of(truth, read_tracks(outcome.folder.path), job.config)
+    log_path = _log_path(job, outcome)
+    frame = outcome.manifest.selection.get("world_frame")
+    route = _route(job, driving, log_path, world, frame, start, _speed(job.config, log_path, kind))
+    return _Setting(outcome, job.config, vehicle, world, world_source, log_path, route, names, notes)
+
+
+def _speed(config: Config, log_path: LogPath, kind: str) -> float:
+    """Speed along the route. Open loop: the log's own, unless set; a plan at another speed would differ from what
+    the vehicle did for that reason alone."""
+    from adcbf_cli.core.replay.routes import logged_speed, reference_speed
+
+    if kind == "plan" and log_path.known and config.planning.reference_speed_mps is None:
+        return min(logged_speed(log_path), config.vehicle.max_speed_mps)
+    return reference_speed(config)
+
+
+def _no_notes() -> Notes:
+    from adcbf_cli.core.types import Notes
+
+    return Notes()
+
+
+def _log_path(job: Job, outcome: Outcome) -> LogPath:
+    """Where the log's vehicle was; nowhere, for an object list."""
+    from adcbf_cli.core.replay.log_path import LogPath
+    from adcbf_cli.io.logs import is_object_list
+    from adcbf_cli.io.tables import read_clusters
+
+    frames = read_clusters(outcome.folder.path)
+    return LogPath.nowhere(frames) if is_object_list(job.log) else LogPath.from_frames(frames)
+
+
+def _route(
+    job: Job,
+    driving: Driving,
+    log_path: LogPath,
+    world: RecordedWorld,
+    world_frame: str | None,
+    start: FloatArray | None,
+    speed_mps: float,
+) -> ReferencePath:
+    """The path to follow: the user's points, a straight line to the user's goal, or the log's own way."""
+    from adcbf_cli.core.planning.reference import ReferencePath
+    from adcbf_cli.core.replay.routes import map_box, route_between, route_from_log
+    from adcbf_cli.io.reference import read_reference
+
+    box = map_box(log_path, world, job.config.perception.range_m)
+    if driving.reference is not None:
+        points = read_reference(driving.reference, job.log, world_frame)
+        route = ReferencePath(points, speed_mps)
+        box.check("reference's end", route.goal_m)
+        return route
+    if driving.goal is not None:
+        goal = parse_numbers("--goal", driving.goal, (2,))
+        here = log_path.pose[0] if start is None else start
+        if not np.isfinite(here).all():
+            raise UsageError(f"{job.log}: no vehicle drove here; --goal needs --start X,Y too")
+        return route_between(here[:2], goal, speed_mps, box)
+    if not log_path.known:
+        raise UsageError(f"{job.log}: no vehicle drove here; say where from and where to: --start X,Y --goal X,Y")
+    return route_from_log(log_path, speed_mps)
+
+
+def _first_start(setting: _Setting, place: FloatArray | None, driving: Driving) -> Start:
+    """Where seed 0 starts: where the user says, else with the log, else standing at the route's start."""
+    from adcbf_cli.core.replay.routes import Start, log_start
+
+    if place is None:
+        own_way = _follows_log(setting, driving)
+        return log_start(setting.log_path, setting.route, setting.vehicle, from_log=own_way)
+    pose = setting.route.at(np.zeros(1))[0]
+    pose[: len(place)] = place
+    return Start(setting.log_path.start_ns, pose, np.zeros(2))
+
+
+def _finish(
+    setting: _Setting,
+    kind: str,
+    drives: list[Drive],
+    driving: Driving,
+    as_json: bool,
+    thresholds: list[Threshold],
+) -> None:
+    """Tables, report, the terminal's table, thresholds, exit code."""
+    from adcbf_cli.commands.summary import exit_for
+    from adcbf_cli.core.evaluation.comparison import add_to_report, compare
+    from adcbf_cli.core.evaluation.comparison_text import headline
+    from adcbf_cli.core.evaluation.report import Report
+    from adcbf_cli.core.evaluation.thresholds import missed
+
+    against = driving.against or (setting.planners[0] if len(setting.planners) > 1 else None)
+    comparison = compare(drives, setting.config.replay, setting.config.planning, against)
+    report = Report()
+    add_to_report(comparison, report)
+    failures = missed(thresholds, report)
+    document = _document(setting, kind, comparison, failures)
+    folder = _write(setting, kind, drives, comparison, document)
+    if as_json:
+        print_json(document)
+    else:
+        title = "closed loop, counterfactual" if kind == "replay" else "open loop"
+        print_table(f"{folder}: {title}", *headline(comparison))
+        say(f"world: {setting.world_source}; route {setting.route.length_m:.1f} m at {setting.route.speed_mps:g} m/s")
+        say(f"all metrics, intervals, differences and definitions: {folder / 'report.md'}")
+    show_notes(setting.notes)
+    for line in failures:
+        say(f"threshold missed: {line}")
+    if failures:
+        raise typer.Exit(EXIT_THRESHOLD)
+    exit_for(setting.outcome)
+
+
+def _document(setting: _Setting, kind: str, comparison: Comparison, failures: list[str]) -> dict[str, Any]:
+    source, config = setting.outcome.manifest.source, setting.config
+    return {
+        "schema_version": 1,
+        "mode": "closed loop" if kind == "replay" else "open loop",
+        "counterfactual": _COUNTERFACTUAL if kind == "replay" else None,
+        "source": {"name": Path(source.path).name, "sha256": source.sha256},
+        "world": setting.world_source,
+        "route": {
+            "length_m": round(setting.route.length_m, 4),
+            "speed_mps": setting.route.speed_mps,
+            "start_m": [round(float(value), 4) for value in setting.route.points_m[0]],
+            "goal_m": [round(float(value), 4) for value in setting.route.goal_m],
+        },
+        "config": {name: getattr(config, name).model_dump(mode="json") for name in ("vehicle", "planning", "replay")},
+        "thresholds_missed": failures,
+        "warnings": setting.notes.warnings,
+        "counters": setting.notes.counters,
+        "comparison": comparison.to_dict(),
+    }
+
+
+def _write(setting: _Setting, kind: str, drives: list[Drive], comparison: Comparison, document: dict[str, Any]) -> Path:
+    from adcbf_cli.core.evaluation.comparison_text import markdown
+    from adcbf_cli.core.planning.gamma_map import gamma_maps
+    from adcbf_cli.io.atomic import write_text_atomically
+    from adcbf_cli.io.driving_tables import write_drives, write_gamma_map
+    from adcbf_cli.io.run_folder import code_version
+
+    outcome = setting.outcome
+    folder = outcome.folder.path / DRIVING[kind]
+    metadata = {
+        "key": outcome.manifest.stages["predict"].key,
+        "adcbf": code_version(),
+        **{name: document[name] for name in ("mode", "source", "world", "route", "config")},
+    }
+    with outcome.folder.locked():
+        folder.mkdir(exist_ok=True)
+        outcome.folder.remove_driving(kind)
+        write_drives(folder, drives, metadata)
+        write_gamma_map(folder, gamma_maps(setting.planners, setting.config.planning), metadata)
+        write_text_atomically(folder / "report.md", _heading(document) + markdown(comparison))
+        write_text_atomically(folder / "report.json", json.dumps(document, indent=2, allow_nan=False) + "\n")
+    return folder
+
+
+def _heading(document: dict[str, Any]) -> str:
+    lines = [
+        f"# {document['mode'].capitalize()}",
+        "",
+        f"Log: {document['source']['name']}; world: {document['world']}.",
+    ]
+    if document["counterfactual"]:
+        lines += ["", document["counterfactual"]]
+    for failure in document["thresholds_missed"]:
+        lines += ["", f"**Threshold missed**: {failure}"]
+    lines += [f"\n- Warning: {warning}" for warning in document["warnings"]]
+    return "\n".join(lines) + "\n\n"
