@@ -48,6 +48,15 @@ def _outcome_rate(outcome: Outcome, meaning: str) -> DriveMetric:
     return DriveMetric(f"{outcome}_rate", "1", "lower", Applies.PLANNED, _STEPS, meaning, measure)
 
 
+def fell_back(evidence: Evidence, steps: PlanSteps) -> BoolArray:
+    """(T,) whether the step's plan came from the fallback ladder. A collision's own tick is none: whatever
+    is planned there comes too late."""
+    fallback = of_outcome(steps, Outcome.RELAXED, Outcome.BRAKED, Outcome.STOPPED)
+    if evidence.drive.result is Result.COLLISION:
+        fallback[-1:] = False
+    return fallback
+
+
 def infeasible_rate(evidence: Evidence) -> float | None:
     steps = evidence.drive.steps
     return None if steps is None else share(known(steps.feasible) == 0.0)
@@ -64,9 +73,8 @@ def collision_after_fallback(evidence: Evidence) -> float | None:
         return None
     if drive.result is not Result.COLLISION:
         return 0.0
-    fallback = of_outcome(drive.steps, Outcome.RELAXED, Outcome.BRAKED, Outcome.STOPPED)
     before_s = evidence.elapsed_s[-1] - evidence.elapsed_s
-    return float((fallback & (before_s <= AFTER_FALLBACK_S)).any())
+    return float((fell_back(evidence, drive.steps) & (before_s <= AFTER_FALLBACK_S)).any())
 
 
 def deadline_missed_rate(evidence: Evidence) -> float | None:
@@ -147,7 +155,8 @@ PLANNING: tuple[DriveMetric, ...] = (
         "lower",
         Applies.CLOSED,
         "drive",
-        "1 where the drive ended in a collision within 3 s after a relaxed, braked or stopped step",
+        "1 where the drive ended in a collision within 3 s after a relaxed, braked or stopped step; the step at "
+        "the collision itself does not count",
         collision_after_fallback,
         is_event=True,
     ),

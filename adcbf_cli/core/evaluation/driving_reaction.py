@@ -18,9 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from adcbf_cli.core.evaluation.driving_evidence import Applies, DriveMetric, Evidence
-from adcbf_cli.core.evaluation.driving_planning import of_outcome, planned
-from adcbf_cli.core.planning.planner import Outcome
-from adcbf_cli.core.replay.records import PlanSteps
+from adcbf_cli.core.evaluation.driving_planning import fell_back
+from adcbf_cli.core.replay.records import PlanSteps, Result
 from adcbf_cli.core.types import BoolArray, FloatArray
 
 CALM_S = 1.0
@@ -78,12 +77,17 @@ def answers(evidence: Evidence, departs: Callable[[PlanSteps, Episode], BoolArra
     if steps is None:
         return None
     elapsed_s = evidence.elapsed_s
-    fallback = planned(steps) & ~of_outcome(steps, Outcome.SOLVED)
+    fallback = fell_back(evidence, steps)
+    last = len(elapsed_s) - (evidence.drive.result is Result.COLLISION)  # an answer at the collision is none
     found: list[float | None] = []
     for episode in episodes(steps.conflict, elapsed_s):
         begun = departs(steps, episode) | fallback[episode.first : episode.last + 1]
+        begun = begun[: max(last - episode.first, 0)]
+        if not begun.any():
+            found.append(None)
+            continue
         tick = episode.first + int(np.argmax(begun))
-        found.append(float(elapsed_s[tick] - elapsed_s[episode.first]) if begun.any() else None)
+        found.append(float(elapsed_s[tick] - elapsed_s[episode.first]))
     return found
 
 

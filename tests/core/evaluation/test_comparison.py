@@ -140,7 +140,9 @@ def test_the_order_of_drives_does_not_matter() -> None:
     drives = two_planners()
     for seed in range(5):
         random.Random(seed).shuffle(drives)
-        assert both(drives).to_dict() == expected
+        found = both(drives).to_dict()
+        assert found == expected
+        assert list(found["planners"]["calm"]["seeds"]) == list("012345")
 
 
 def test_other_planners_do_not_matter() -> None:

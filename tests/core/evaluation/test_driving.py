@@ -12,8 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from adcbf_cli.core.config import PlanningConfig, ReplayConfig
-from adcbf_cli.core.evaluation.driving import BY_NAME, METRICS, applicable, score_drive
+from adcbf_cli.core.evaluation.driving import BY_NAME, LOGGED, METRICS, applicable, score_drive
 from adcbf_cli.core.evaluation.driving_evidence import Applies
+from adcbf_cli.core.replay import open_loop as open_loop_module
 from adcbf_cli.core.replay.records import Drive, Result
 from tests.core.evaluation.driving_scenes import NAN, START_NS, drive_of, stages_of, steps_of, turned
 
@@ -35,6 +36,10 @@ def test_the_declarations_are_one_a_name_and_documented() -> None:
         assert row in page, f"docs/driving-metrics.md lacks this row, or says it otherwise:\n{row}"
     rows = [line.split("`")[1] for line in page.splitlines() if line.startswith("| `")]
     assert sorted(rows) == sorted(BY_NAME), "the page has no rows of metrics that are gone"
+
+
+def test_the_log_own_driver_goes_by_one_name() -> None:
+    assert LOGGED == open_loop_module.LOGGED
 
 
 def test_arriving() -> None:
@@ -89,7 +94,7 @@ def test_velocity_variance_near_obstacles() -> None:
     assert score(drive_of([0.7] * 5, clearance_m=np.ones(5)), "vel_var") == pytest.approx(0.0, abs=1e-15)
 
 
-@pytest.mark.parametrize("period_s", [0.1, 1 / 30, 0.02])
+@pytest.mark.parametrize("period_s", [0.1, 1 / 30, 0.02, 0.08])
 def test_a_steady_drive_has_no_jerk_and_a_parabola_its_own(period_s: float) -> None:
     t = period_s * np.arange(round(4 / period_s))
     steady = drive_of(np.full(len(t), 0.8), period_s=period_s)
@@ -184,10 +189,11 @@ def test_infeasible_steps_are_a_share_of_those_that_were_optimised() -> None:
     assert score(drive_of([1.0] * 5, steps=steps_of(5, feasible=np.full(5, NAN))), "infeasible_rate") is None
 
 
-@pytest.mark.parametrize(("at", "found"), [(9, 1.0), (10, 1.0), (39, 1.0), (8, 0.0)])
+@pytest.mark.parametrize(("at", "found"), [(9, 1.0), (10, 1.0), (38, 1.0), (39, 0.0), (8, 0.0)])
 @pytest.mark.parametrize("outcome", ["relaxed", "braked", "stopped"])
 def test_collision_after_a_fallback(at: int, found: float, outcome: str) -> None:
-    """40 ticks 0.1 s apart; tick 9 is 3.0 s before the collision at tick 39."""
+    """40 ticks 0.1 s apart; tick 9 is 3.0 s before the collision at tick 39, whose own
+    step comes too late."""
     outcomes = ["solved"] * 40
     outcomes[at] = outcome
     drive = drive_of([1.0] * 40, steps=steps_of(40, outcome=tuple(outcomes)), result=Result.COLLISION)

@@ -54,6 +54,16 @@ def test_speeding_up_beyond_the_reference_answers() -> None:
     assert scores(conflicting(between(40, 70), speed=ramp))[0] == pytest.approx(1.0), "not when it reaches 1.0 m/s"
 
 
+def test_coming_down_to_the_reference_speed_is_no_answer() -> None:
+    speed = np.where(between(0, 42), 1.3, 1.0)
+    assert scores(conflicting(between(40, 70), speed=speed)) == (None, None, 1, 1)
+
+
+def test_a_tick_without_a_plan_is_no_answer() -> None:
+    outcomes = ("solved",) * (TICKS - 1) + ("",)
+    assert scores(conflicting(between(90, 99), outcome=outcomes)) == (None, None, 1, 1)
+
+
 def test_turning_aside_answers() -> None:
     aside = np.where(between(46, 99), 0.15, 0.04)
     assert scores(conflicting(between(40, 70), reference_m=aside))[0] == pytest.approx(0.6)
@@ -96,6 +106,15 @@ def test_the_mean_is_over_answered_episodes_and_the_others_are_counted() -> None
 def test_an_unanswered_collision() -> None:
     drive = conflicting(between(40, 99), result=Result.COLLISION)
     assert scores(drive) == (None, None, 1, 1)
+
+
+def test_what_happens_at_the_collision_itself_comes_too_late() -> None:
+    outcomes = ("solved",) * (TICKS - 1) + ("relaxed",)
+    late = np.where(between(99, 99), 0.5, 0.0)
+    columns = {"outcome": outcomes, "reference_m": late, "deviation_m": late, "result": Result.COLLISION}
+    assert scores(conflicting(between(40, 99), **columns)) == (None, None, 1, 1)
+    assert scores(conflicting(between(99, 99), **columns)) == (None, None, 1, 1)
+    assert scores(conflicting(between(40, 99), **columns | {"result": Result.TIMEOUT}))[3] == 0
 
 
 def test_without_conflicts_there_is_no_time_and_without_steps_no_count() -> None:
