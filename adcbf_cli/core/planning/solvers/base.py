@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 from typing import Protocol
 
 from adcbf_cli.core.errors import UsageError
@@ -21,15 +21,24 @@ class Solver(Protocol):
         ...
 
 
+def has_numba() -> bool:
+    """Whether Numba is installed and fits the Python and numpy that run."""
+    try:
+        importlib.import_module("numba")
+    except ImportError:
+        return False
+    return True
+
+
 def make_solver(name: str, problem: Problem, min_iterations: int, max_iterations: int) -> tuple[Solver, str | None]:
     """The solver called `name` and, where another one had to take its place, a note that says so.
 
     min_iterations, max_iterations: of sqp and piqp; ipopt and fatrop run until they have converged.
     Raises UsageError for an unknown name.
     """
-    if name == "sqp" and importlib.util.find_spec("numba") is None:
+    if name == "sqp" and not has_numba():
         solver, _ = make_solver("piqp", problem, min_iterations, max_iterations)
-        return solver, "Numba is missing: planning.solver=piqp takes the place of sqp and is slower"
+        return solver, "Numba cannot be imported: piqp takes the place of the solver sqp, and is slower"
     if name == "sqp":
         from adcbf_cli.core.planning.solvers.sqp import SqpSolver
 
