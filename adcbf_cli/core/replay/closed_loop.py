@@ -36,7 +36,7 @@ def replay(
     entries: Sequence[Entry],
     predictions: Iterable[Predictions],
     world: RecordedWorld,
-    log_path: LogPath | None,
+    log_path: LogPath,
     vehicle: Vehicle,
     config: Config,
     clock: Callable[[], int],
@@ -44,7 +44,7 @@ def replay(
 ) -> list[Drive]:
     """One drive an entry, in their order.
 
-    predictions: ascending in time, read once. log_path: None where nothing drove in the recording. clock: nanoseconds, read around each planning step only.
+    predictions: ascending in time, read once. clock: nanoseconds, read around each planning step only.
     AdcbfError where there is no prediction at all.
     """
     setting = Setting(world, log_path, vehicle, config)
@@ -69,16 +69,15 @@ class PerceptionFeed:
         if self._next is None:
             raise AdcbfError("there are no predictions to plan with: no obstacle was ever tracked long enough")
         self._log_path = setting.log_path
-        self._end_ns = setting.recorded_ns[1]
         self._knowledge = Knowledge(notes, setting.vehicle.body_radius_m)
 
     def at(self, stamp_ns: int) -> Knowledge:
         """What is known at this time; times must not go back."""
         while self._next is not None and self._next.stamp_ns <= stamp_ns:
-            log_path, now = self._log_path, np.array([self._next.stamp_ns])
-            self._knowledge.update(self._next, None if log_path is None else log_path.at(now)[0, :2])
+            vehicle_m = self._log_path.at(np.array([self._next.stamp_ns]))[0, :2]
+            self._knowledge.update(self._next, vehicle_m)
             self._next = next(self._records, None)
-        if self._next is None and stamp_ns > self._end_ns:
+        if self._next is None and stamp_ns > self._log_path.end_ns:
             self._knowledge.end()
         return self._knowledge
 

@@ -20,25 +20,12 @@ from adcbf_cli.core.vehicles.vehicle import Vehicle
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What all drives of a replay share. log_path: None where nothing drove in the recording."""
+    """What all drives of a replay share."""
 
     world: RecordedWorld
-    log_path: LogPath | None
+    log_path: LogPath
     vehicle: Vehicle
     config: Config
-
-    @property
-    def recorded_ns(self) -> tuple[int, int]:
-        """First and last stamp of the recording: of its vehicle's poses, else of the things in it."""
-        if self.log_path is not None:
-            return self.log_path.start_ns, self.log_path.end_ns
-        return self.world.first_ns, self.world.last_ns
-
-    def log_m(self, point_m: FloatArray, stamp_ns: int) -> float:
-        """Distance of a point (2,) from the log's vehicle, NaN where the log does not say."""
-        if self.log_path is None:
-            return float("nan")
-        return float(np.hypot(*(point_m - self.log_path.at(np.array([stamp_ns]))[0, :2])))
 
     @property
     def range_m(self) -> float:
@@ -82,7 +69,6 @@ class DriveLog:
         self._seed = seed
         self._path = path
         self._keep_stages = keep_stages
-        self._recorded_ns = setting.recorded_ns
         self._ticks: list[_Tick] = []
         self._steps: list[_Planned] = []
         self._inputs: list[FloatArray] = []
@@ -103,7 +89,7 @@ class DriveLog:
         clearance, nearest = touched or setting.world.nearest(pose[:2], body, stamp_ns)
         velocity = speed_mps * np.array([np.cos(pose[2]), np.sin(pose[2])])
         goal = objects.clearance(self._path.goal_m[None], self._goal_radius_m)
-        first_ns, last_ns = self._recorded_ns
+        log_m = setting.log_path.at(np.array([stamp_ns]))[0, :2] - pose[:2]
         self._ticks.append(
             _Tick(
                 stamp_ns=stamp_ns,
@@ -113,8 +99,8 @@ class DriveLog:
                 ttc_s=objects.time_to_collision(pose[:2], velocity, body),
                 reference_m=float(self._path.distance(pose[None, :2])[0]),
                 along_m=along_m,
-                log_m=setting.log_m(pose[:2], stamp_ns),
-                recorded=first_ns <= stamp_ns <= last_ns,
+                log_m=float(np.hypot(*log_m)),
+                recorded=setting.log_path.start_ns <= stamp_ns <= setting.log_path.end_ns,
                 goal_reachable=not bool((goal < 0.0).any()),
             )
         )

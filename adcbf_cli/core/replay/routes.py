@@ -108,11 +108,12 @@ class MapBox:
 
 
 def map_box(log_path: LogPath, world: RecordedWorld, range_m: float) -> MapBox:
-    """The box around the logged path and everything seen, grown by the sensor's range."""
-    corners = [log_path.pose[:, :2].min(axis=0), log_path.pose[:, :2].max(axis=0)] if log_path.known else []
-    seen = world.bounds()
-    if seen is not None:
-        corners += list(seen)
+    """The box around the logged path, if any, and everything seen, grown by the sensor's range."""
+    corners: list[FloatArray] = list(world.bounds() or ())
+    if log_path.known:
+        corners += [log_path.pose[:, :2].min(axis=0), log_path.pose[:, :2].max(axis=0)]
+    if not corners:
+        raise AdcbfError("the log knows neither a vehicle's path nor a single obstacle: there is no map to drive on")
     return MapBox(np.min(corners, axis=0) - range_m, np.max(corners, axis=0) + range_m)
 
 

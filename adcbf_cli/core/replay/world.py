@@ -12,7 +12,6 @@ from functools import cached_property
 
 import numpy as np
 
-from adcbf_cli.core.errors import AdcbfError
 from adcbf_cli.core.evaluation.paths import Paths
 from adcbf_cli.core.types import NO_ID, BoolArray, FloatArray, IntArray
 
@@ -186,22 +185,6 @@ class RecordedWorld:
     def __len__(self) -> int:
         """The number of things."""
         return len(self._paths.ids)
-
-    @property
-    def first_ns(self) -> int:
-        """The first sample's stamp. AdcbfError in an empty world."""
-        self._not_empty()
-        return int(self._paths.start_ns.min())
-
-    @property
-    def last_ns(self) -> int:
-        """The last sample's stamp. AdcbfError in an empty world."""
-        self._not_empty()
-        return int(self._paths.end_ns.max())
-
-    def _not_empty(self) -> None:
-        if not len(self):
-            raise AdcbfError("the recording has neither a vehicle's poses nor a single thing in it: nothing to replay")
 
     def bounds(self) -> tuple[FloatArray, FloatArray] | None:
         """Lowest and highest x, y (2,) that any thing's circle ever reached; None in an empty world."""
