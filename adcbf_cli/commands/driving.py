@@ -357,6 +357,7 @@ def _write(setting: _Setting, kind: str, drives: list[Drive], comparison: Compar
     folder = outcome.folder.path / DRIVING[kind]
     metadata = {
         "key": outcome.manifest.stages["predict"].key,
+        "against": comparison.against,
         "adcbf": code_version(),
         **{name: document[name] for name in ("mode", "source", "world", "route", "config")},
     }

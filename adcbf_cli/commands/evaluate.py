@@ -37,7 +37,8 @@ FailOn = Annotated[
 def evaluate(shared: Shared, truth: TruthOption = None, fail_on: FailOn = None) -> None:
     """Score obstacles, tracks and predictions.
 
-    Each number comes with its unit and its number of samples.
+    Each number comes with its unit and its number of samples. Drives that `plan` and `replay` left in the run folder
+    are scored too, planner by planner.
 
     Without ground truth, predictions are held against where the same track was later seen. Runs the
     stages first, where they are not there yet; writes `report.json` and `report.md`.
@@ -59,6 +60,7 @@ def score_run(shared: Shared, truth: str | None, fail_on: list[str], with_facts:
     with_facts: show the stages' own summary too, as `adcbf run` does.
     """
     from adcbf_cli.commands.stages import plan_job, run_stages
+    from adcbf_cli.commands.stored_drives import stored_drives
     from adcbf_cli.commands.summary import exit_for, print_facts, summarise
     from adcbf_cli.core.evaluation.thresholds import check_names, missed, parse_threshold
     from adcbf_cli.io.report import report_document, write_report
@@ -66,11 +68,13 @@ def score_run(shared: Shared, truth: str | None, fail_on: list[str], with_facts:
 
     thresholds = [parse_threshold(text) for text in fail_on]
     job = plan_job(shared)
+    drives = stored_drives(job)
     if thresholds:
-        check_names(thresholds, possible_metrics(job.config.evaluation))
+        check_names(thresholds, [*possible_metrics(job.config.evaluation), *drives.metric_names()])
     place_truth = None if truth is None else read_truth(truth, job.log)  # before the work: a bad file costs no time
     outcome = run_stages(job, "predict", shared.force)
     report = score(job, outcome, place_truth, outcome.notes)
+    comparisons = drives.compare(outcome, report)
     failures = missed(thresholds, report)
     document = report_document(report, _provenance(outcome, truth, thresholds, failures))
     with outcome.folder.locked():
@@ -84,6 +88,8 @@ def score_run(shared: Shared, truth: str | None, fail_on: list[str], with_facts:
         if with_facts:
             print_facts(outcome, facts)
         _print_report(outcome.folder.path, report)
+        for title, table in comparisons:
+            print_table(title, *table)
     show_notes(outcome.notes)
     for line in failures:
         say(f"threshold missed: {line}")

@@ -23,7 +23,11 @@ _SECTIONS = {
     "later_seen": "Prediction against where the same track was later seen",
     "clusters": "Clusters",
     "tracks": "Tracks",
+    "plan": "Planning, open loop",
+    "replay": "Planning, closed loop (counterfactual)",
 }
+_DEFINED_ELSEWHERE = ("plan", "replay")
+"""Each planner has the same metrics; their definitions are in the reports of these commands."""
 _OBJECT_COLUMNS = (
     "object_id", "class", "frames_in_range", "frames_tracked", "tracks", "cluster_rmse_m", "track_rmse_m",
     "track_rmse_sight_corrected_m", "bias_along_m", "bias_across_m", "bias_body_x_m", "bias_body_y_m",
@@ -72,7 +76,11 @@ def markdown(document: dict[str, Any], report: Report) -> str:
     if report.objects:
         lines += ["", "## Objects", "", *_object_table(report.objects)]
     lines += ["", "## Definitions", ""]
-    lines += [f"- `{name}` ({metric.sample}): {metric.definition}." for name, metric in report.metrics.items()]
+    lines += [
+        f"- `{name}` ({metric.sample}): {metric.definition}."
+        for name, metric in report.metrics.items()
+        if not name.startswith(_DEFINED_ELSEWHERE)
+    ]
     return "\n".join(lines) + "\n"
 
 
