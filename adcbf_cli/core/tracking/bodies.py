@@ -173,6 +173,15 @@ def completion(
     return result
 
 
+def cut_surplus(extent_m: FloatArray, seen_m: FloatArray, to_others: FloatArray, trust: FloatArray) -> FloatArray:
+    """The same for a cluster that holds others too: what it has beyond the body is on their side.
+
+    to_others: (..., 2) from `facing`, which end of each axis the others are at.
+    """
+    result: FloatArray = -0.5 * trust[..., None] * to_others * np.maximum(seen_m - extent_m, 0.0)
+    return result
+
+
 def completion_sigma(extent_m: FloatArray, seen_m: FloatArray, ends: FloatArray, trust: FloatArray) -> FloatArray:
     """Standard deviation (..., 2) of a completed centre along the body's axes; arguments as above.
 
@@ -243,6 +252,11 @@ def moved_bodies(
     # The noise's share keeps the ratio of two well-behaved centres near one.
     jolt = bodies.jolt_m2 + (jolts + noise_m**2 - bodies.jolt_m2) / JOLT_MEMORY_HITS
     return replace(bodies, seen_at_m=seen_at_m, completed_at_m=completed_at_m + grown_m, jolt_m2=jolt)
+
+
+def carried_bodies(bodies: Bodies, step_m: FloatArray) -> Bodies:
+    """The bodies a step (n, 2) on, with nothing learned on the way."""
+    return replace(bodies, seen_at_m=bodies.seen_at_m + step_m, completed_at_m=bodies.completed_at_m + step_m)
 
 
 def followed_yaw(

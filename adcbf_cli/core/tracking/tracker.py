@@ -21,6 +21,7 @@ from adcbf_cli.core.tracking.filters import BatchFilter
 from adcbf_cli.core.tracking.linalg import inverted, quadratic_form, symmetrised
 from adcbf_cli.core.tracking.measurement import noise_along_axes, nominal_variance
 from adcbf_cli.core.tracking.modes import ModeChain, combine, mix, reweighed
+from adcbf_cli.core.tracking.sharing import Sharing, homes, share_clusters
 from adcbf_cli.core.tracking.stillness import Sightings, still
 from adcbf_cli.core.tracking.structures import wall_pieces
 from adcbf_cli.core.tracking.views import learn_sizes, size_doubt, view_bodies
@@ -134,7 +135,8 @@ class Tracker:
         state, covariance = combine(bank.states, bank.covariances, bank.modes)
         expected = kalman.expect(state, covariance, clusters.world_from_sensor)
         noise = self._noise(bank, kalman, np.arange(len(bank)), state, clusters.world_from_sensor)
-        views = view_bodies(bank.bodies, state[:, :2], bank.is_structure, clusters, self._config)
+        sharing = self._sharing(bank, state, clusters)
+        views = view_bodies(bank.bodies, state[:, :2], bank.is_structure, clusters, sharing, self._config)
         every = kalman.measurement.observe(views.centre_sensor_m(clusters))
         total = symmetrised(expected.covariance + noise)
         rows, columns = self._associate(bank, kalman, clusters, expected.mean, total, every)
@@ -165,6 +167,15 @@ class Tracker:
         bank.seen_s[rows] = self._now_s
         bank.hits[rows] += 1
         return taken
+
+    def _sharing(self, bank: TrackBank, state: FloatArray, clusters: Clusters) -> Sharing:
+        """Which clusters hold several of the tracks, whose states (n, d) are expected to be these."""
+        visible_m = state[:, :2] + bank.bodies.seen_at_m - bank.seen_at_m
+        followed = (bank.status != TrackStatus.TENTATIVE) & ~bank.is_structure
+        home = homes(visible_m, followed, clusters, self._config.sigma_range_m)
+        standing = np.ones(len(bank), dtype=np.bool_)
+        is_moving = ~still(standing, bank.sightings, self._now_s, bank.radius_m, self._config)
+        return share_clusters(home, visible_m, bank.is_static, is_moving)
 
     def _associate(
         self,

@@ -10,10 +10,13 @@ import numpy as np
 from adcbf_cli.core.config import TrackingConfig
 from adcbf_cli.core.tracking.bank import TrackBank, smoothed_size
 from adcbf_cli.core.tracking.bodies import (
+    MAX_YAW_VARIANCE,
     Bodies,
     axes_at,
+    carried_bodies,
     completion,
     completion_sigma,
+    cut_surplus,
     extents_along,
     facing,
     followed_course,
@@ -23,6 +26,7 @@ from adcbf_cli.core.tracking.bodies import (
     moved_bodies,
     rectangle_yaw_variance,
 )
+from adcbf_cli.core.tracking.sharing import Sharing
 from adcbf_cli.core.types import NO_ID, BoolArray, Clusters, FloatArray, IntArray
 
 
@@ -31,7 +35,7 @@ class Views:
     """n tracks by c clusters. yaw_rad, yaw_variance: (n, c) of the body, corrected by the cluster's
     rectangle; axes: (n, c, 2, 2); ends: (n, c, 2) as from `bodies.facing`; known, trust: (n, c) how far
     the axes hold, and how far to complete by them; seen_m: (n, c, 2) the cluster's extents along them;
-    shift_m: (n, c, 3) from the cluster's centre to the body's, world."""
+    shift_m: (n, c, 3) from the cluster's centre to the body's, world; shared: (n, c) as from `Sharing`."""
 
     yaw_rad: FloatArray
     yaw_variance: FloatArray
@@ -41,6 +45,7 @@ class Views:
     trust: FloatArray
     seen_m: FloatArray
     shift_m: FloatArray
+    shared: BoolArray
 
     def centre_sensor_m(self, clusters: Clusters) -> FloatArray:
         """(n, c, 3) the bodies' centres, sensor frame."""
@@ -54,12 +59,19 @@ class Views:
 
 
 def view_bodies(
-    bodies: Bodies, place_m: FloatArray, is_structure: BoolArray, clusters: Clusters, config: TrackingConfig
+    bodies: Bodies,
+    place_m: FloatArray,
+    is_structure: BoolArray,
+    clusters: Clusters,
+    sharing: Sharing,
+    config: TrackingConfig,
 ) -> Views:
     """All pairs of tracks, expected at place_m (n, 2), and clusters. Pieces of a split cluster have ends
-    where they were cut, and tell nothing of a body."""
+    where they were cut, and tell nothing of a body. A shared cluster tells nothing of the body's direction
+    or size, and what it has beyond the body belongs to the others."""
     whole = (clusters.split_from == NO_ID)[None, :] & ~is_structure[:, None]
-    rectangle_variance = rectangle_yaw_variance(clusters.length_m, config)
+    shared = sharing.pairs(len(clusters))
+    rectangle_variance = np.where(shared, MAX_YAW_VARIANCE, rectangle_yaw_variance(clusters.length_m, config)[None, :])
     yaw, variance = followed_yaw(
         bodies.yaw_rad[:, None], bodies.yaw_variance[:, None], clusters.yaw_rad, rectangle_variance
     )
@@ -72,8 +84,11 @@ def view_bodies(
     trust = sure * bodies.steadiness(config)[:, None]
     shift = np.zeros((*trust.shape, 3))
     offset = completion(extent, seen, ends, trust, config.sigma_range_m)
+    to_others = facing(axes, extent, (sharing.others_m - place_m)[:, None, :])
+    cut = cut_surplus(extent, seen, to_others, trust)
+    offset = np.where(shared[:, :, None] & (seen > extent), cut, offset)
     shift[:, :, :2] = np.einsum("nci,ncij->ncj", offset, axes)
-    return Views(yaw, variance, axes, ends, sure, trust, seen, shift)
+    return Views(yaw, variance, axes, ends, sure, trust, seen, shift, shared)
 
 
 def size_doubt(
@@ -106,8 +121,30 @@ def learn_sizes(
 
     Returns (k, 2), world: how far the bodies' centres move because their extents are now known better.
     The end that was seen stays where it is, so a body that turns out longer has its centre farther on;
-    that is no motion of the body.
+    that is no motion of the body. A shared cluster teaches nothing; the body just goes on.
     """
+    weights = bank.modes[rows]
+    velocity = np.einsum("km,kmi->ki", weights, bank.states[rows, :, 3:5])
+    shared = views.shared[rows, columns]
+    bank.bodies.put(
+        rows[shared], carried_bodies(bank.bodies.select(rows[shared]), (velocity * since_s[:, None])[shared])
+    )
+    moved = np.zeros((len(rows), 2))
+    alone = ~shared
+    moved[alone] = _learn_alone(bank, views, clusters, rows[alone], columns[alone], since_s[alone], config)
+    return moved
+
+
+def _learn_alone(
+    bank: TrackBank,
+    views: Views,
+    clusters: Clusters,
+    rows: IntArray,
+    columns: IntArray,
+    since_s: FloatArray,
+    config: TrackingConfig,
+) -> FloatArray:
+    """`learn_sizes` where the clusters hold nothing else."""
     seen, ends, trust = views.seen_m[rows, columns], views.ends[rows, columns], views.trust[rows, columns]
     axes, sensor = views.axes[rows, columns], clusters.world_from_sensor[:2, 3]
     old = replace(

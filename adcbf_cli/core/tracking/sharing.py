@@ -1,0 +1,64 @@
+"""Clusters that hold more than one tracked obstacle: a car passes a post, and the two are seen as one.
+
+The cluster's size and direction are then those of both together. A track that takes it must not
+learn its body from it, and what the cluster has beyond the body is on the other obstacle's side.
+
+Each track has at most one home: the smallest cluster whose rectangle holds the place where the track's
+visible part is expected. A cluster is shared where a track that stands still and one that moves are both
+at home in it. Tracks that move alike are more likely parts of one body that was seen in pieces before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from adcbf_cli.core.types import NO_ID, BoolArray, Clusters, FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True)
+class Sharing:
+    """Of n tracks. home: (n,) the cluster that each would share with others, a row of the frame's
+    clusters, NO_ID for none; others_m: (n, 2) the mean of where those others are expected, world."""
+
+    home: IntArray
+    others_m: FloatArray
+
+    def pairs(self, clusters: int) -> BoolArray:
+        """(n, c) which of c clusters each track would share."""
+        shared: BoolArray = self.home[:, None] == np.arange(clusters)[None, :]
+        return shared
+
+
+def share_clusters(home: IntArray, visible_m: FloatArray, is_static: BoolArray, is_moving: BoolArray) -> Sharing:
+    """Which cluster each of n tracks shares with others.
+
+    home: (n,) as from `homes`; visible_m: (n, 2) where the tracks' visible parts are expected, world;
+    is_static, is_moving: (n,) which are known to stand still and which are known to move; neither: unknown.
+    """
+    unlike = (is_static[:, None] & is_moving[None, :]) | (is_moving[:, None] & is_static[None, :])
+    others = (unlike & (home[:, None] == home[None, :]) & (home != NO_ID)[:, None]).astype(np.float64)
+    count = others.sum(axis=1)
+    return Sharing(np.where(count > 0, home, NO_ID), others @ visible_m / np.maximum(count, 1.0)[:, None])
+
+
+def homes(visible_m: FloatArray, eligible: BoolArray, clusters: Clusters, margin_m: float) -> IntArray:
+    """(n,) each track's home, a row of `clusters`, or NO_ID. Pieces of a split cluster are nobody's.
+
+    visible_m: (n, 2) where the tracks' visible parts are expected, world; eligible: (n,) which tracks may
+    have a home at all. Rectangles are grown by margin_m on each side.
+    """
+    n = len(visible_m)
+    if n == 0 or len(clusters) == 0:
+        return np.full(n, NO_ID, dtype=np.int64)
+    offset = visible_m[:, None, :] - clusters.centre_m[None, :, :2]
+    cosine, sine = np.cos(clusters.yaw_rad), np.sin(clusters.yaw_rad)
+    along = np.abs(offset[..., 0] * cosine + offset[..., 1] * sine)
+    across = np.abs(offset[..., 1] * cosine - offset[..., 0] * sine)
+    inside = (along <= clusters.length_m / 2 + margin_m) & (across <= clusters.width_m / 2 + margin_m)
+    inside &= eligible[:, None] & (clusters.split_from == NO_ID)[None, :]
+    size = np.where(inside, clusters.radius_m, np.inf)
+    smallest = np.argmin(size, axis=1)
+    found: IntArray = np.where(inside.any(axis=1), smallest, NO_ID)
+    return found
