@@ -40,7 +40,10 @@ def barrier_stages(problem: Problem) -> int:
 
 
 def barrier_rows(problem: Problem, instance: Instance, inputs: FloatArray) -> Rows:
-    """The barriers along the plan that `inputs` (N, 2) lead to."""
+    """The barriers along the plan that `inputs` (N, 2) lead to.
+
+    Raises ValueError where the barrier is frozen and the instance has no gamma.
+    """
     return _rows(problem, instance, problem.vehicle.roll_out(instance.pose, inputs, problem.step_s))
 
 
@@ -77,7 +80,9 @@ def _rows(problem: Problem, instance: Instance, poses: FloatArray) -> Rows:
     off = poses[:, None, :2] - instance.obstacle_m.transpose(1, 0, 2)
     squared = (off**2).sum(axis=-1)
     height = squared - instance.keep_out_m.T**2
-    if barrier.frozen and instance.gamma is not None:
+    if barrier.frozen:
+        if instance.gamma is None:
+            raise ValueError("this barrier is frozen: the instance must bring its gamma")
         gamma = instance.gamma.T
     else:
         gamma = gamma_at(barrier.gamma, np.sqrt(squared[:-1]), instance.obstacle_radius_m)
