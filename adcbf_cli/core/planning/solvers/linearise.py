@@ -29,6 +29,9 @@ from adcbf_cli.core.types import FloatArray
 FAST = {"contract", "reassoc", "nsz", "arcp"}
 """Sums may be reordered, but NaN and infinity keep their meaning: they are how a failure is seen."""
 
+SIDES = 8
+"""Limits a stage: of either input low, high, falling, rising."""
+
 NO_ROW = 1.0
 """Value of a row that is not there: satisfied, whatever the step."""
 
@@ -38,8 +41,8 @@ class StageQp(NamedTuple):
 
     ax, ay: (N,). b: (N, 3, 2). pose_grad: (N, 3) gradient and pose_hess: (N, 3) diagonal Hessian at
     pose[k + 1]. input_grad, input_hess: (N, 2) at u[k]. change_grad, change_hess: (N, 2) at
-    u[k] - u[k - 1]. low, high: (N, 2) bounds of d u[k] (low <= 0 <= high). fall, rise: (N, 2) bounds of
-    d u[k] - d u[k - 1], not used at k = 0.
+    u[k] - u[k - 1]. room: (N, SIDES) how far u[k] is from its limits: from below and from above, then
+    the same of u[k] - u[k - 1] (not used at k = 0); each pair of columns is the two inputs.
     value, cap, give: (M, m). near_x, near_y, far_x, far_y: (M, m).
     """
 
@@ -52,10 +55,7 @@ class StageQp(NamedTuple):
     input_hess: FloatArray
     change_grad: FloatArray
     change_hess: FloatArray
-    low: FloatArray
-    high: FloatArray
-    fall: FloatArray
-    rise: FloatArray
+    room: FloatArray
     value: FloatArray
     cap: FloatArray
     give: FloatArray
@@ -78,10 +78,7 @@ def empty_qp(stages: int, row_stages: int, rows: int) -> StageQp:
         np.empty((stages, 2)),
         np.empty((stages, 2)),
         np.empty((stages, 2)),
-        np.empty((stages, 2)),
-        np.empty((stages, 2)),
-        np.empty((stages, 2)),
-        np.empty((stages, 2)),
+        np.empty((stages, SIDES)),
         np.empty((row_stages, rows)),
         np.empty((row_stages, rows)),
         np.empty((row_stages, rows)),
@@ -236,10 +233,10 @@ def _linearise_cost(model: Model, scene: Scene, inputs: FloatArray, poses: Float
             qp.input_grad[k, j] = weight * (inputs[k, j] - scene.reference[k + 1, 3 + j])
             qp.change_hess[k, j] = (model.turn_accel if j else model.accel) / (duration * duration)
             qp.change_grad[k, j] = qp.change_hess[k, j] * change
-            qp.low[k, j] = scene.low[k, j] - inputs[k, j]
-            qp.high[k, j] = scene.high[k, j] - inputs[k, j]
-            qp.fall[k, j] = -scene.reach[j] - change
-            qp.rise[k, j] = scene.reach[j] - change
+            qp.room[k, j] = inputs[k, j] - scene.low[k, j]
+            qp.room[k, 2 + j] = scene.high[k, j] - inputs[k, j]
+            qp.room[k, 4 + j] = scene.reach[j] + change
+            qp.room[k, 6 + j] = scene.reach[j] - change
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)

@@ -1,6 +1,7 @@
 """A problem and an instance of it as the plain numbers and arrays that the SQP solvers compute with.
 
-Both SQP solvers, compiled and not, start here, so that they cannot read a problem differently.
+Both SQP solvers, compiled and not, start here, so that they cannot read a problem differently, nor fail
+differently.
 """
 
 from __future__ import annotations
@@ -11,8 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from adcbf_cli.core.planning.barrier import AdaptiveGamma
-from adcbf_cli.core.planning.problem import Instance, Problem
+from adcbf_cli.core.planning.problem import Instance, Problem, Solution, SolverStatus
 from adcbf_cli.core.types import FloatArray
+
+HAIR = np.array([0.0, 1e-4])
 
 
 class Model(NamedTuple):
@@ -119,8 +122,19 @@ def pack_scene(problem: Problem, instance: Instance) -> Scene:
     )
 
 
-def is_finite(scene: Scene) -> bool:
-    return all(bool(np.isfinite(array).all()) for array in scene)
+def start(scene: Scene, guess: FloatArray) -> FloatArray | None:
+    """The guess (N, 2) within limits, for a solver to start from; None where numbers are not finite.
+
+    It turns by a hair more than the guess: exactly in line with an obstacle, the way around it on either
+    side is equally good, and a step that follows gradients would take neither.
+    """
+    if not all(bool(np.isfinite(part).all()) for part in (*scene, guess)):
+        return None
+    return confine(scene, guess + HAIR)
+
+
+def failed(guess: FloatArray) -> Solution:
+    return Solution(guess, SolverStatus.FAILED, 0, math.nan)
 
 
 def input_boxes(problem: Problem, last_inputs: FloatArray) -> tuple[FloatArray, FloatArray]:

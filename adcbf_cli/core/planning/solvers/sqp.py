@@ -2,18 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from adcbf_cli.core.planning.problem import Instance, Problem, Solution, SolverStatus
 from adcbf_cli.core.planning.solvers import sqp_loop
-from adcbf_cli.core.planning.solvers.packing import confine, is_finite, pack_model, pack_scene
+from adcbf_cli.core.planning.solvers.packing import failed, pack_model, pack_scene, start
 from adcbf_cli.core.types import FloatArray
-
-STATUS = {
-    sqp_loop.CONVERGED: SolverStatus.CONVERGED,
-    sqp_loop.LIMIT: SolverStatus.ITERATION_LIMIT,
-    sqp_loop.FAILED: SolverStatus.FAILED,
-}
 
 
 class SqpSolver:
@@ -31,12 +23,13 @@ class SqpSolver:
     def solve(self, instance: Instance, guess: FloatArray) -> Solution:
         """The best inputs found from `guess` (N, 2); FAILED, and the guess, where numbers are not finite."""
         scene = pack_scene(self._problem, instance)
-        if not (is_finite(scene) and np.isfinite(guess).all()):
-            return Solution(guess, SolverStatus.FAILED, 0, float("nan"))
-        start = confine(scene, np.asarray(guess, dtype=np.float64))
-        inputs, merit, iterations, code, _ = sqp_loop.solve_sqp(
-            self._model, scene, start, self._min_iterations, self._max_iterations, 1.0, 0.1, 1e-8, 1e-7
+        first = start(scene, guess)
+        if first is None:
+            return failed(guess)
+        inputs, merit, iterations, code = sqp_loop.solve_sqp(
+            self._model, scene, first, self._min_iterations, self._max_iterations
         )
         if code == sqp_loop.FAILED:
-            return Solution(guess, SolverStatus.FAILED, iterations, float("nan"))
-        return Solution(confine(scene, inputs), STATUS[code], iterations, merit)
+            return failed(guess)
+        status = SolverStatus.CONVERGED if code == sqp_loop.CONVERGED else SolverStatus.ITERATION_LIMIT
+        return Solution(inputs, status, iterations, merit)

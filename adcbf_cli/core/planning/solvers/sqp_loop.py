@@ -2,6 +2,11 @@
 
 Each iteration linearises around the roll-out of its inputs, solves the stage-wise quadratic programme
 and goes along its step as far as lowers the merit (an exact L1 penalty, so the step is one of descent).
+Barriers are convex in position, so that deep within an obstacle their linearisation promises too little:
+then the step is doubled for as long as that helps. Where it had to be shortened, turning has made the
+linearisation promise too much, and the next step is bounded (a trust region).
+
+Curvature of the barriers in the Hessian (convexified) was tried, and gains nothing here.
 """
 
 from __future__ import annotations
@@ -13,27 +18,31 @@ from numba import njit
 
 from adcbf_cli.core.planning.solvers.linearise import FAST, StageQp, empty_qp, linearise, merit_of, roll_out
 from adcbf_cli.core.planning.solvers.packing import Model, Scene
-from adcbf_cli.core.planning.solvers.stage_qp import Iterate, empty_iterate, empty_newton, solve_qp
+from adcbf_cli.core.planning.solvers.stage_qp import empty_iterate, empty_newton, solve_qp
 from adcbf_cli.core.types import FloatArray
 
 CONVERGED, LIMIT, FAILED = 0, 1, 2
 
+TOLERANCE = 1e-6
+"""A decrease of the merit that is relatively smaller ends the iterations."""
+
+MU_START, MU_LEAST = 10.0, 0.01
+"""Complementarity that programmes start from: far from a solution, and next to it."""
+
+MU_END, MU_END_MOST = 1e-6, 1e-4
+"""Complementarity that programmes are solved to: next to a solution, and far from it."""
+
+NEWTON_STEPS = 25
+LONGEST_STEP, SHORTEST_STEP = 8.0, 1.0 / 4096.0
+
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
 def solve_sqp(
-    model: Model,
-    scene: Scene,
-    guess: FloatArray,
-    min_iterations: int,
-    max_iterations: int,
-    mu_start: float,
-    mu_next: float,
-    mu_end: float,
-    tolerance: float,
-) -> tuple[FloatArray, float, int, int, int]:
+    model: Model, scene: Scene, guess: FloatArray, min_iterations: int, max_iterations: int
+) -> tuple[FloatArray, float, int, int]:
     """Inputs (N, 2), their merit, iterations and one of CONVERGED, LIMIT, FAILED.
 
-    guess: (N, 2), within the scene's limits. Inputs are within them up to rounding.
+    guess: (N, 2), within the scene's limits, as the result then is.
     """
     stages, count = len(guess), len(scene.amplitude)
     rows = 2 * count if model.decay else count
@@ -44,28 +53,71 @@ def solve_sqp(
     trial, trial_poses = guess.copy(), np.empty((stages + 1, 3))
     roll_out(model, scene, inputs, poses)
     merit = merit_of(model, scene, inputs, poses)
-    total = 0
     if not math.isfinite(merit):
-        return inputs, merit, 0, FAILED, total
-    mu = mu_start
+        return inputs, merit, 0, FAILED
+    fell, trust = math.inf, math.inf
     for iteration in range(max_iterations):
         linearise(model, scene, inputs, poses, qp)
-        total += solve_qp(qp, at, newton, mu, mu_end, 40)
-        mu = mu_next
-        length, best = 1.0, merit
-        for _ in range(12):
-            trial[:] = inputs + length * at.du
-            roll_out(model, scene, trial, trial_poses)
-            best = merit_of(model, scene, trial, trial_poses)
-            if best < merit:
+        _bound_steps(qp, trust)
+        mu = min(max(fell, MU_LEAST), MU_START)
+        mu_end = min(max(1e-4 * fell, MU_END), MU_END_MOST)
+        solve_qp(qp, at, newton, mu, mu_end, NEWTON_STEPS)
+        length = _search(model, scene, inputs, at.du, merit, trial, trial_poses)
+        if length == 0.0:
+            return inputs, merit, iteration + 1, CONVERGED
+        trust = 2.0 * length * np.max(np.abs(at.du)) if length < 1.0 else 2.0 * trust
+        take(scene, inputs, at.du, length, inputs)
+        roll_out(model, scene, inputs, poses)
+        before, merit = merit, merit_of(model, scene, inputs, poses)
+        fell = before - merit
+        if fell < TOLERANCE * merit and iteration + 1 >= min_iterations:
+            return inputs, merit, iteration + 1, CONVERGED
+    return inputs, merit, max_iterations, LIMIT
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _bound_steps(qp: StageQp, trust: float) -> None:
+    for k in range(len(qp.room)):
+        for side in range(4):
+            qp.room[k, side] = min(qp.room[k, side], trust)
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def take(scene: Scene, inputs: FloatArray, step: FloatArray, length: float, result: FloatArray) -> None:
+    """Fill `result` with inputs + length * step, kept within limits as by `packing.confine`."""
+    for k in range(len(inputs)):
+        for j in range(2):
+            value = min(max(inputs[k, j] + length * step[k, j], scene.low[k, j]), scene.high[k, j])
+            if k > 0:
+                before = result[k - 1, j]
+                value = min(max(value, before - scene.reach[j]), before + scene.reach[j])
+            result[k, j] = value
+
+
+@njit(cache=True, error_model="numpy", fastmath=FAST)
+def _search(
+    model: Model,
+    scene: Scene,
+    inputs: FloatArray,
+    step: FloatArray,
+    merit: float,
+    trial: FloatArray,
+    trial_poses: FloatArray,
+) -> float:
+    """How far to go along the step: 1, doubled while that is better still, or halved until it is better
+    than `merit` at all; 0 where it never is."""
+    best, best_length, length = merit, 0.0, 1.0
+    while SHORTEST_STEP <= length <= LONGEST_STEP:
+        take(scene, inputs, step, length, trial)
+        roll_out(model, scene, trial, trial_poses)
+        reached = merit_of(model, scene, trial, trial_poses)
+        if reached < best:
+            best, best_length = reached, length
+            if length < 1.0:
                 break
+            length *= 2.0
+        elif best_length > 0.0:
+            break
+        else:
             length *= 0.5
-        if not best < merit:
-            return inputs, merit, iteration + 1, CONVERGED, total
-        done = merit - best < tolerance * abs(merit)
-        inputs[:] = trial
-        poses[:] = trial_poses
-        merit = best
-        if done and iteration + 1 >= min_iterations:
-            return inputs, merit, iteration + 1, CONVERGED, total
-    return inputs, merit, max_iterations, LIMIT, total
+    return best_length

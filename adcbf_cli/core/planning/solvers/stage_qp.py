@@ -19,11 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from adcbf_cli.core.planning.solvers.linearise import FAST, StageQp
+from adcbf_cli.core.planning.solvers.linearise import FAST, SIDES, StageQp
 from adcbf_cli.core.types import FloatArray
-
-SIDES = 8
-"""Hard rows a stage: low, high, fall, rise, of either input."""
 
 TINY = 1e-9
 """Least slack that a hard row starts with, and what keeps Hessians of unweighted inputs regular."""
@@ -126,19 +123,6 @@ def solve_qp(qp: StageQp, at: Iterate, newton: Newton, mu_start: float, mu_end: 
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
-def _room(qp: StageQp, k: int, side: int, du: FloatArray) -> float:
-    """How far du is from a limit of stage k; negative beyond it."""
-    j = side & 1
-    kind = side >> 1
-    if kind == 0:
-        return du[k, j] - qp.low[k, j]
-    if kind == 1:
-        return qp.high[k, j] - du[k, j]
-    change = du[k, j] - du[k - 1, j]
-    return change - qp.fall[k, j] if kind == 2 else qp.rise[k, j] - change
-
-
-@njit(cache=True, error_model="numpy", fastmath=FAST)
 def _start(qp: StageQp, at: Iterate, mu: float) -> None:
     at.du[:] = 0.0
     at.dpose[:] = 0.0
@@ -153,7 +137,7 @@ def _start(qp: StageQp, at: Iterate, mu: float) -> None:
             at.s[k, i] = mu / (cap - less if c > 0.0 else less)
     for k in range(len(at.du)):
         for side in range(SIDES if k else 4):
-            t = max(_room(qp, k, side, at.du), 1e-2)
+            t = max(qp.room[k, side], 1e-2)
             at.hard_t[k, side] = t
             at.hard_lam[k, side] = mu / t
 
@@ -268,12 +252,10 @@ def _targets(qp: StageQp, at: Iterate, newton: Newton, mu: float, second_order: 
             upper = (mu + d_lam * newton.d_s[k, i]) / (qp.cap[k, i] - lam)
             lower = (mu - d_lam * newton.d_t[k, i]) / lam
             newton.q[k, i] = qp.value[k, i] + qp.give[k, i] * lam + upper - lower
-    still = newton.feed
-    still[:] = 0.0
     for k in range(len(at.du)):
         for side in range(SIDES if k else 4):
             product = keep * newton.d_hard_lam[k, side] * newton.d_hard_t[k, side]
-            newton.hard_q[k, side] = _room(qp, k, side, still) - (mu - product) / at.hard_lam[k, side]
+            newton.hard_q[k, side] = qp.room[k, side] - (mu - product) / at.hard_lam[k, side]
 
 
 @njit(cache=True, error_model="numpy", fastmath=FAST)
