@@ -22,7 +22,8 @@ from adcbf_cli.io.schemas import SCHEMAS
 
 SCHEMA_VERSION = 1
 METADATA_KEY = b"adcbf"
-ROWS_PER_GROUP = 50_000
+GROUP_BYTES = 4_000_000
+"""So much waits in memory before it is written as a row group: rows of different tables differ in size."""
 ROWS_READ = 4096
 READ_BUFFER_BYTES = 1 << 16
 """Of each column, while a table is read back."""
@@ -42,7 +43,7 @@ class TableWriter:
         self._schema = SCHEMAS[table].with_metadata({METADATA_KEY: text.encode()})
         self._path = path
         self._pending: list[pa.Table] = []
-        self._pending_rows = 0
+        self._pending_bytes = 0
         self.rows = 0
 
     def __enter__(self) -> TableWriter:
@@ -61,8 +62,8 @@ class TableWriter:
         table = pa.table({f.name: _array(columns[f.name], f.type) for f in self._schema}, schema=self._schema)
         self.rows += len(table)
         self._pending.append(table)
-        self._pending_rows += len(table)
-        if self._pending_rows >= ROWS_PER_GROUP:
+        self._pending_bytes += table.nbytes
+        if self._pending_bytes >= GROUP_BYTES:
             self._flush()
         elif len(self._pending) >= PIECES_HELD:
             self._pending = [pa.concat_tables(self._pending).combine_chunks()]
@@ -70,7 +71,7 @@ class TableWriter:
     def _flush(self) -> None:
         if self._pending:
             self._writer.write_table(pa.concat_tables(self._pending).combine_chunks())
-        self._pending, self._pending_rows = [], 0
+        self._pending, self._pending_bytes = [], 0
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -117,7 +118,7 @@ def batches(path: Path, batch_size: int, columns: list[str] | None = None) -> It
     """
     with _told_as_damage(path):
         file = pq.ParquetFile(path, pre_buffer=False, buffer_size=READ_BUFFER_BYTES)
-        yield from file.iter_batches(batch_size=batch_size, columns=columns)
+        yield from file.iter_batches(batch_size=batch_size, columns=columns, use_threads=False)
 
 
 @contextmanager
