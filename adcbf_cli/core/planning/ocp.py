@@ -19,16 +19,13 @@ import casadi as ca
 import numpy as np
 
 from adcbf_cli.core.planning.barrier import AdaptiveGamma
-from adcbf_cli.core.planning.merit import barrier_rows, barrier_stages
-from adcbf_cli.core.planning.problem import Instance, Problem
+from adcbf_cli.core.planning.merit import barrier_stages
+from adcbf_cli.core.planning.problem import Problem
 from adcbf_cli.core.types import FloatArray
 from adcbf_cli.core.vehicles.vehicle import Vehicle
 
 STATE = 5
 INPUTS = 2
-
-DUMMY_OFFSET_M = 20.0
-"""Unused slots hold an obstacle this far from the pose, whose rows have no bound."""
 
 TINY_M2 = 1e-12
 """Under the distance's root, so that its derivative is finite on an obstacle's centre."""
@@ -188,7 +185,7 @@ def barriers(problem: Problem, stage: Stage) -> Rows:
 
 COSTS: tuple[CostTerm, ...] = (tracking, speed, turn, smoothness, slack, decay)
 CONSTRAINTS: tuple[ConstraintTerm, ...] = (rates, barriers)
-"""`barriers` last: `Ocp.bounds` frees the rows of unused slots, which are a stage's last."""
+"""`barriers` last: the rows of unused slots, which an instance frees, are then a stage's last."""
 
 
 # --- the problem -------------------------------------------------------------------------------------
@@ -196,10 +193,12 @@ CONSTRAINTS: tuple[ConstraintTerm, ...] = (rates, barriers)
 
 @dataclass(frozen=True, slots=True)
 class Ocp:
-    """A nonlinear program for up to `slots` obstacles.
+    """A nonlinear program for up to `slots` obstacles; `solvers.program` brings instances into it.
 
-    nlp: x, f, g, p for casadi.nlpsol. lower, upper: of g, all slots in use. equality: a row of g each.
-    states, controls, rows: per stage k = 0..N, how many of each (rows without the gap).
+    nlp: x, f, g, p for casadi.nlpsol. p is the pose and last inputs, then, stage after stage, the
+    reference, the slots' x, their y, their R, and their own radius and, where the barrier is frozen, gamma.
+    lower, upper: of g, all slots in use. equality: a row of g each. states, controls, rows: per stage
+    k = 0..N, how many of each (rows without the gap).
     """
 
     problem: Problem
@@ -211,75 +210,6 @@ class Ocp:
     states: list[int]
     controls: list[int]
     rows: list[int]
-
-    def parameters(self, instance: Instance) -> FloatArray:
-        """p: the instance, padded with dummies up to `slots`."""
-        unused, stages = self.slots - len(instance), self.problem.steps + 1
-        dummy = np.tile(instance.pose[:2] + np.array([DUMMY_OFFSET_M, 0.0]), (unused, stages, 1))
-        obstacle = np.concatenate([instance.obstacle_m, dummy])
-        radius = np.concatenate([instance.obstacle_radius_m, np.ones(unused)])
-        keep_out = np.concatenate([instance.keep_out_m, np.ones((unused, stages))])
-        parts = [instance.pose, instance.last_inputs, instance.reference.T, obstacle[..., 0], obstacle[..., 1]]
-        parts += [keep_out, radius]
-        if self.problem.barrier.frozen:
-            parts.append(np.concatenate([instance.gamma, np.ones((unused, stages - 1))]))
-        return np.concatenate([np.asarray(part).ravel(order="F") for part in parts])
-
-    def bounds(self, instance: Instance) -> dict[str, FloatArray]:
-        """lbx, ubx, lbg, ubg. Inputs out of bounds may stay there for as long as their rate needs to return."""
-        problem = self.problem
-        lowest, highest = problem.vehicle.envelope(
-            instance.last_inputs, problem.steps, problem.step_s, problem.first_step_s
-        )
-        lower, upper = [], []
-        for k, count in enumerate(self.controls):
-            lower.append(np.full(self.states[k], -np.inf))
-            upper.append(np.full(self.states[k], np.inf))
-            if k < problem.steps:
-                lower += [lowest[k], np.zeros(count - INPUTS)]
-                upper += [highest[k], np.full(min(self.slots, count - INPUTS), np.inf)]
-                upper.append(np.ones(max(0, count - INPUTS - self.slots)))
-        return {
-            "lbx": np.concatenate(lower),
-            "ubx": np.concatenate(upper),
-            "lbg": self._row_bounds(instance, self.lower),
-            "ubg": self.upper,
-        }
-
-    def _row_bounds(self, instance: Instance, lower: FloatArray) -> FloatArray:
-        """Lower bounds with the rows of unused slots freed."""
-        freed = lower.copy()
-        end = 0
-        for k, count in enumerate(self.rows):
-            end += count + (STATE if k < self.problem.steps else 0)
-            if k < barrier_stages(self.problem):
-                freed[end - (self.slots - len(instance)) : end] = -np.inf
-        return freed
-
-    def variables(self, instance: Instance, inputs: FloatArray) -> FloatArray:
-        """x at `inputs` (N, 2): rolled out, with the cheapest decay and slack. Feasible where they are."""
-        poses = self.problem.vehicle.roll_out(instance.pose, inputs, self.problem.step_s)
-        before = np.concatenate([instance.last_inputs[None], inputs])
-        rows = barrier_rows(self.problem, instance, inputs)
-        unused = self.slots - len(instance)
-        parts = []
-        for k in range(self.problem.steps):
-            parts += [poses[k], before[k], inputs[k]]
-            if self.controls[k] > INPUTS:
-                parts += [rows.slack_m2[k], np.zeros(unused)]
-            if self.controls[k] > INPUTS + self.slots:
-                parts += [rows.decay[k], np.ones(unused)]
-        return np.concatenate([*parts, poses[-1], before[-1]])
-
-    def inputs_of(self, variables: FloatArray) -> FloatArray:
-        """(N, 2) the inputs in x."""
-        starts = np.concatenate([[0], np.cumsum(np.add(self.states, self.controls))])[:-2] + STATE
-        return variables[starts[:, None] + np.arange(INPUTS)]
-
-
-def bucket(obstacles: int) -> int:
-    """The number of slots for so many obstacles: 0, 4, 8, 16, 32 and so on."""
-    return 0 if obstacles == 0 else max(4, 1 << (obstacles - 1).bit_length())
 
 
 def build(problem: Problem, slots: int) -> Ocp:

@@ -8,8 +8,9 @@ import pytest
 
 from adcbf_cli.core.planning.barrier import Barrier
 from adcbf_cli.core.planning.merit import barrier_rows, merit
-from adcbf_cli.core.planning.ocp import STATE, Ocp, bucket, build, stage_functions
+from adcbf_cli.core.planning.ocp import STATE, Ocp, build, stage_functions
 from adcbf_cli.core.planning.problem import Instance
+from adcbf_cli.core.planning.solvers.program import bounds, bucket, inputs_of, parameters, variables
 from adcbf_cli.core.types import FloatArray
 from tests.core.planning.instances import (
     BARRIERS,
@@ -24,7 +25,7 @@ from tests.core.planning.instances import (
 def evaluated(ocp: Ocp, instance: Instance, inputs: FloatArray) -> tuple[float, FloatArray]:
     """Objective and constraints at the rolled-out point."""
     function = ca.Function("both", [ocp.nlp["x"], ocp.nlp["p"]], [ocp.nlp["f"], ocp.nlp["g"]])
-    objective, rows = function(ocp.variables(instance, inputs), ocp.parameters(instance))
+    objective, rows = function(variables(ocp, instance, inputs), parameters(ocp, instance))
     return float(objective), np.asarray(rows).ravel()
 
 
@@ -39,13 +40,13 @@ def test_the_objective_at_a_rolled_out_point_is_the_merit(barrier: Barrier, kind
         inputs = random_inputs(problem, instance, seed)
         objective, rows = evaluated(ocp, instance, inputs)
         assert objective == pytest.approx(merit(problem, instance, inputs), rel=1e-10)
-        bounds = ocp.bounds(instance)
-        assert (rows >= bounds["lbg"] - 1e-8).all()
-        assert (rows <= bounds["ubg"] + 1e-8).all()
-        variables = ocp.variables(instance, inputs)
-        assert (variables >= bounds["lbx"] - 1e-9).all()
-        assert (variables <= bounds["ubx"] + 1e-9).all()
-        np.testing.assert_array_equal(ocp.inputs_of(variables), inputs)
+        limits = bounds(ocp, instance)
+        assert (rows >= limits["lbg"] - 1e-8).all()
+        assert (rows <= limits["ubg"] + 1e-8).all()
+        point = variables(ocp, instance, inputs)
+        assert (point >= limits["lbx"] - 1e-9).all()
+        assert (point <= limits["ubx"] + 1e-9).all()
+        np.testing.assert_array_equal(inputs_of(ocp, point), inputs)
 
 
 def test_slack_is_needed_row_by_row() -> None:
@@ -57,11 +58,11 @@ def test_slack_is_needed_row_by_row() -> None:
     function = ca.Function("g", [ocp.nlp["x"], ocp.nlp["p"]], [ocp.nlp["g"]])
     rows = barrier_rows(problem, instance, inputs)
     assert 0 < np.count_nonzero(rows.slack_m2) < rows.slack_m2.size
-    variables = ocp.variables(instance, inputs)
-    slack_at = np.flatnonzero(np.isin(variables, rows.slack_m2[rows.slack_m2 > 0]))
-    variables[slack_at] = 0.0
-    values = np.asarray(function(variables, ocp.parameters(instance))).ravel()
-    missing = np.maximum(ocp.bounds(instance)["lbg"] - values, 0.0)
+    point = variables(ocp, instance, inputs)
+    slack_at = np.flatnonzero(np.isin(point, rows.slack_m2[rows.slack_m2 > 0]))
+    point[slack_at] = 0.0
+    values = np.asarray(function(point, parameters(ocp, instance))).ravel()
+    missing = np.maximum(bounds(ocp, instance)["lbg"] - values, 0.0)
     assert np.sort(missing[missing > 1e-9]) == pytest.approx(np.sort(rows.slack_m2[rows.slack_m2 > 1e-9]))
 
 
@@ -87,7 +88,7 @@ def test_every_constraint_knows_one_stage_and_the_gap_comes_first() -> None:
     jacobian = ca.Function("j", [ocp.nlp["x"], ocp.nlp["p"]], [ca.jacobian(ocp.nlp["g"], ocp.nlp["x"])])
     instance = random_instance(problem, 230, obstacles=4)
     dense = np.asarray(
-        ca.DM(jacobian(ocp.variables(instance, random_inputs(problem, instance, 3)), ocp.parameters(instance)))
+        ca.DM(jacobian(variables(ocp, instance, random_inputs(problem, instance, 3)), parameters(ocp, instance)))
     )
     row = column = 0
     for k in range(problem.steps):
