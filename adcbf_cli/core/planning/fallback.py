@@ -17,6 +17,9 @@ STANDING_MPS = 1e-3
 TOUCH_M = 1e-6
 """Surface distances are compared to this."""
 
+ESCAPE = 0.75
+"""Share of the distance left that a way out of the safety margin keeps."""
+
 
 def reachable(vehicle: Vehicle, wanted: FloatArray, last: FloatArray, step_s: float, first_step_s: float) -> FloatArray:
     """Inputs (N, 2) nearest to `wanted` (N, 2), stage by stage, within bounds and rates from `last` (2,).
@@ -45,11 +48,6 @@ def surface_m(poses: FloatArray, centre_m: FloatArray, radius_m: FloatArray, bod
     return np.asarray(np.hypot(gap[..., 0], gap[..., 1]) - radius_m[:, None] - body_radius_m)
 
 
-def least_clearance_m(poses: FloatArray, centre_m: FloatArray, radius_m: FloatArray, body_radius_m: float) -> float:
-    """The smallest of `surface_m`; infinite without obstacles."""
-    return float(surface_m(poses, centre_m, radius_m, body_radius_m).min(initial=np.inf))
-
-
 def required_m(surface_now_m: FloatArray, safety_m: float) -> FloatArray:
     """(n,) surface distance to keep from each obstacle: the safety distance, or, where the vehicle is
     closer than that already, not to come closer still. Without this a vehicle that starts within the
@@ -73,10 +71,16 @@ def outcome_of(details: Details, hard: bool, tolerance: float = 1e-6) -> Outcome
     return Outcome.SOLVED if details.decay >= 1 - tolerance else Outcome.RELAXED
 
 
-def relaxed_is_better(plan_clearance_m: float, braking_clearance_m: float, safety_m: float) -> bool:
+def relaxed_is_better(driven_m: float, braked_m: float, now_m: float, safety_m: float) -> bool:
     """Whether a plan that violates or weakens a barrier may be driven rather than braking.
 
-    It may where it keeps the safety distance all along, or comes no closer than braking would: a plan
-    that drives into something is never preferred to braking.
+    driven_m, braked_m: the smallest surface distances along the plan and along braking; now_m: the one
+    now. It may where it keeps the safety distance all along, or comes no closer than braking would. A
+    vehicle that is within the margin already may lose a share of what is left on its way out, or one
+    that points at an obstacle could never turn away. So a plan that drives into something is never
+    preferred to braking, unless braking is hit as well.
     """
-    return plan_clearance_m >= min(safety_m, braking_clearance_m) - TOUCH_M
+    required = min(safety_m, braked_m)
+    if now_m < safety_m and required > 0.0:
+        required *= ESCAPE
+    return driven_m >= required - TOUCH_M

@@ -180,10 +180,15 @@ class MpcPlanner:
         problem, known = self._problem, scene.known
         brake = fallback.braking(problem.vehicle, scene.situation, problem.steps, problem.step_s, problem.first_step_s)
         body_m = problem.vehicle.body_radius_m
-        driven_m, braked_m = (
-            fallback.least_clearance_m(way, known.centre_m, known.radius_m, body_m) for way in (poses, brake.poses)
+        driven, braked = (
+            fallback.surface_m(way, known.centre_m, known.radius_m, body_m) for way in (poses, brake.poses)
         )
-        return fallback.relaxed_is_better(driven_m, braked_m, self._planning.safety_distance_m)
+        return fallback.relaxed_is_better(
+            float(driven.min(initial=np.inf)),
+            float(braked.min(initial=np.inf)),
+            float(driven[:, 0].min(initial=np.inf)),
+            self._planning.safety_distance_m,
+        )
 
     def _braked(self, situation: Situation, details: Details) -> Plan:
         problem = self._problem
