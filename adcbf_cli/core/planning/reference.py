@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from adcbf_cli.core.errors import UsageError
@@ -80,15 +82,13 @@ class ReferencePath:
     def horizon(self, pose: FloatArray, along_m: float, steps: int, step_s: float, brake_mps2: float) -> FloatArray:
         """(steps + 1, 5) x, y, yaw, speed, 0 from arc length `along_m` on, at the path's speed, slowing
         down with `brake_mps2` so as to stand at the path's end; yaw within pi of the pose's at first."""
-        along = np.empty(steps + 1)
-        speed = np.empty(steps + 1)
-        along[0] = along_m
-        for k in range(steps + 1):
-            left = self.length_m - along[k]
-            speed[k] = min(self.speed_mps, np.sqrt(2 * brake_mps2 * max(left, 0.0)))
-            if k < steps:
-                along[k + 1] = min(along[k] + speed[k] * step_s, self.length_m)
-        places = self.at(along)
+        length_m, here_m = self.length_m, float(along_m)
+        along, speed = [], []
+        for _ in range(steps + 1):
+            along.append(here_m)
+            speed.append(min(self.speed_mps, math.sqrt(2 * brake_mps2 * max(length_m - here_m, 0.0))))
+            here_m = min(here_m + speed[-1] * step_s, length_m)
+        places = self.at(np.array(along))
         yaw = np.unwrap(places[:, 2])
         yaw += 2 * np.pi * np.round((pose[2] - yaw[0]) / (2 * np.pi))
         return np.column_stack([places[:, :2], yaw, speed, np.zeros(steps + 1)])
