@@ -1,4 +1,4 @@
-"""A problem and an instance of it as the plain numbers and arrays that the SQP solvers compute with.
+"""A problem, an instance and a linearisation of it as the plain arrays that the SQP solvers compute with.
 
 Both SQP solvers, compiled and not, start here, so that they cannot read a problem differently, nor fail
 differently.
@@ -73,6 +73,50 @@ class Scene(NamedTuple):
     gamma: FloatArray
 
 
+SIDES = 8
+"""Limits of a stage's inputs: either one low, high, falling, rising."""
+
+PER_ROW = 7
+VALUE, CAP, GIVE, NEAR_X, NEAR_Y, FAR_X, FAR_Y = range(PER_ROW)
+"""Where a `StageQp` keeps what of its rows."""
+
+NO_ROW = 1.0
+"""Value of a row that is not there: satisfied, whatever the step."""
+
+
+class StageQp(NamedTuple):
+    """The quadratic model of a problem around a roll-out: N stages, M of them with m barrier rows each.
+
+    Variables are the steps d u[k] and d pose[k + 1] from it, where d pose[0] = 0 and
+    d pose[k + 1] = A d pose[k] + B d u[k], A being the identity but for ax, ay in its yaw column.
+    motion: (N, 8) ax, ay and B (3, 2) row by row.
+    pose: (N, 6) cost at pose[k + 1]: gradient, and diagonal of the Hessian.
+    inputs: (N, 8) cost at u[k]: gradient (2,), Hessian (2,), and the same at u[k] - u[k - 1].
+    room: (N, SIDES) how far u[k] is from its limits: from below (2,) and from above (2,), then the same
+    of u[k] - u[k - 1], which does not count at k = 0.
+    rows: (M, PER_ROW, m). A row is value + near d xy[k + 1] + far d xy[k] >= 0; falling short by e + s
+    costs e^2 / (2 give) + cap s (give = 0: cap s alone).
+    """
+
+    motion: FloatArray
+    pose: FloatArray
+    inputs: FloatArray
+    room: FloatArray
+    rows: FloatArray
+
+
+def empty_qp(model: Model, scene: Scene) -> StageQp:
+    """Arrays for a model, to be filled."""
+    stages, count = len(scene.low), len(scene.amplitude)
+    return StageQp(
+        np.empty((stages, 8)),
+        np.empty((stages, 6)),
+        np.empty((stages, 8)),
+        np.empty((stages, SIDES)),
+        np.empty((model.row_steps, PER_ROW, 2 * count if model.decay else count)),
+    )
+
+
 def pack_model(problem: Problem) -> Model:
     barrier, weights, vehicle = problem.barrier, problem.weights, problem.vehicle
     gamma = barrier.gamma if isinstance(barrier.gamma, AdaptiveGamma) else AdaptiveGamma()
@@ -122,15 +166,17 @@ def pack_scene(problem: Problem, instance: Instance) -> Scene:
     )
 
 
-def start(scene: Scene, guess: FloatArray) -> FloatArray | None:
-    """The guess (N, 2) within limits, for a solver to start from; None where numbers are not finite.
+def starting(guess: FloatArray) -> FloatArray:
+    """The guess (N, 2), turning by a hair more.
 
-    It turns by a hair more than the guess: exactly in line with an obstacle, the way around it on either
-    side is equally good, and a step that follows gradients would take neither.
+    Exactly in line with an obstacle the way around it is equally good on either side, and a step that
+    follows gradients would take neither.
     """
-    if not all(bool(np.isfinite(part).all()) for part in (*scene, guess)):
-        return None
-    return confine(scene, guess + HAIR)
+    return np.ascontiguousarray(guess + HAIR, dtype=np.float64)
+
+
+def is_finite(scene: Scene, inputs: FloatArray) -> bool:
+    return all(bool(np.isfinite(part).all()) for part in (*scene, inputs))
 
 
 def failed(guess: FloatArray) -> Solution:

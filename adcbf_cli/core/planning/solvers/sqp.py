@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from adcbf_cli.core.planning.problem import Instance, Problem, Solution, SolverStatus
 from adcbf_cli.core.planning.solvers import sqp_loop
-from adcbf_cli.core.planning.solvers.packing import failed, pack_model, pack_scene, start
+from adcbf_cli.core.planning.solvers.packing import empty_qp, failed, is_finite, pack_model, pack_scene, starting
 from adcbf_cli.core.types import FloatArray
 
 
@@ -17,17 +17,18 @@ class SqpSolver:
     def __init__(self, problem: Problem, min_iterations: int, max_iterations: int) -> None:
         self._problem = problem
         self._model = pack_model(problem)
+        self._solve = sqp_loop.entry()
         self._min_iterations = min_iterations
         self._max_iterations = max_iterations
 
     def solve(self, instance: Instance, guess: FloatArray) -> Solution:
         """The best inputs found from `guess` (N, 2); FAILED, and the guess, where numbers are not finite."""
         scene = pack_scene(self._problem, instance)
-        first = start(scene, guess)
-        if first is None:
+        first = starting(guess)
+        if not is_finite(scene, first):
             return failed(guess)
-        inputs, merit, iterations, code = sqp_loop.solve_sqp(
-            self._model, scene, first, self._min_iterations, self._max_iterations
+        inputs, merit, iterations, code = self._solve(
+            self._model, scene, empty_qp(self._model, scene), first, self._min_iterations, self._max_iterations
         )
         if code == sqp_loop.FAILED:
             return failed(guess)

@@ -11,14 +11,19 @@ Curvature of the barriers in the Hessian (convexified) was tried, and gains noth
 
 from __future__ import annotations
 
+import functools
 import math
+import sys
+from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 
-from adcbf_cli.core.planning.solvers.linearise import FAST, StageQp, empty_qp, linearise, merit_of, roll_out
-from adcbf_cli.core.planning.solvers.packing import Model, Scene
-from adcbf_cli.core.planning.solvers.stage_qp import empty_iterate, empty_newton, solve_qp
+from adcbf_cli.core.planning.solvers import compiling, packing, stage_qp
+from adcbf_cli.core.planning.solvers import linearise as linearising
+from adcbf_cli.core.planning.solvers.compiling import compiled, kept, source_key
+from adcbf_cli.core.planning.solvers.linearise import linearise, merit_of, roll_out
+from adcbf_cli.core.planning.solvers.packing import Model, Scene, StageQp
+from adcbf_cli.core.planning.solvers.stage_qp import solve_qp
 from adcbf_cli.core.types import FloatArray
 
 CONVERGED, LIMIT, FAILED = 0, 1, 2
@@ -36,21 +41,34 @@ NEWTON_STEPS = 25
 LONGEST_STEP, SHORTEST_STEP = 8.0, 1.0 / 4096.0
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+Entry = Callable[[Model, Scene, StageQp, FloatArray, int, int], tuple[FloatArray, float, int, int]]
+
+
+@functools.cache
+def entry() -> Entry:
+    """`solve_sqp`, kept on disk once it is compiled."""
+    key = source_key(sys.modules[__name__], compiling, packing, linearising, stage_qp)
+
+    def solve(
+        model: Model, scene: Scene, qp: StageQp, guess: FloatArray, min_iterations: int, max_iterations: int
+    ) -> tuple[FloatArray, float, int, int]:
+        _ = key  # what is kept is found again by the function's closure
+        return solve_sqp(model, scene, qp, guess, min_iterations, max_iterations)
+
+    return kept(solve)
+
+
+@compiled
 def solve_sqp(
-    model: Model, scene: Scene, guess: FloatArray, min_iterations: int, max_iterations: int
+    model: Model, scene: Scene, qp: StageQp, guess: FloatArray, min_iterations: int, max_iterations: int
 ) -> tuple[FloatArray, float, int, int]:
     """Inputs (N, 2), their merit, iterations and one of CONVERGED, LIMIT, FAILED.
 
-    guess: (N, 2), within the scene's limits, as the result then is.
+    qp: room for the linearisations. guess: (N, 2); the result is within limits.
     """
-    stages, count = len(guess), len(scene.amplitude)
-    rows = 2 * count if model.decay else count
-    qp = empty_qp(stages, model.row_steps, rows)
-    at = empty_iterate(stages, model.row_steps, rows)
-    newton = empty_newton(stages, model.row_steps, rows)
-    inputs, poses = guess.copy(), np.empty((stages + 1, 3))
-    trial, trial_poses = guess.copy(), np.empty((stages + 1, 3))
+    inputs, poses = np.empty((len(guess), 2)), np.empty((len(guess) + 1, 3))
+    trial, trial_poses = np.empty((len(guess), 2)), np.empty((len(guess) + 1, 3))
+    take(scene, guess, guess, 0.0, inputs)
     roll_out(model, scene, inputs, poses)
     merit = merit_of(model, scene, inputs, poses)
     if not math.isfinite(merit):
@@ -61,12 +79,12 @@ def solve_sqp(
         _bound_steps(qp, trust)
         mu = min(max(fell, MU_LEAST), MU_START)
         mu_end = min(max(1e-4 * fell, MU_END), MU_END_MOST)
-        solve_qp(qp, at, newton, mu, mu_end, NEWTON_STEPS)
-        length = _search(model, scene, inputs, at.du, merit, trial, trial_poses)
+        step, _ = solve_qp(qp, mu, mu_end, NEWTON_STEPS)
+        length = _search(model, scene, inputs, step, merit, trial, trial_poses)
         if length == 0.0:
             return inputs, merit, iteration + 1, CONVERGED
-        trust = 2.0 * length * np.max(np.abs(at.du)) if length < 1.0 else 2.0 * trust
-        take(scene, inputs, at.du, length, inputs)
+        trust = 2.0 * length * np.max(np.abs(step[:, :2])) if length < 1.0 else 2.0 * trust
+        take(scene, inputs, step, length, inputs)
         roll_out(model, scene, inputs, poses)
         before, merit = merit, merit_of(model, scene, inputs, poses)
         fell = before - merit
@@ -75,14 +93,14 @@ def solve_sqp(
     return inputs, merit, max_iterations, LIMIT
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@compiled
 def _bound_steps(qp: StageQp, trust: float) -> None:
     for k in range(len(qp.room)):
         for side in range(4):
             qp.room[k, side] = min(qp.room[k, side], trust)
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@compiled
 def take(scene: Scene, inputs: FloatArray, step: FloatArray, length: float, result: FloatArray) -> None:
     """Fill `result` with inputs + length * step, kept within limits as by `packing.confine`."""
     for k in range(len(inputs)):
@@ -94,7 +112,7 @@ def take(scene: Scene, inputs: FloatArray, step: FloatArray, length: float, resu
             result[k, j] = value
 
 
-@njit(cache=True, error_model="numpy", fastmath=FAST)
+@compiled
 def _search(
     model: Model,
     scene: Scene,

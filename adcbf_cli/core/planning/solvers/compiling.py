@@ -1,0 +1,43 @@
+"""How the fast solver is compiled by Numba, and when a compiled one may be used again.
+
+Numba keeps what it compiled on disk and looks at one source file to see whether it is still right. The
+solver is made of several. So only its entry is kept, under a key made of all of their sources; the
+functions that it calls are in it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any, TypeVar
+
+from numba import njit
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"}}
+"""Sums may be reordered, but NaN and infinity keep their meaning: they are how a failure is seen."""
+
+
+def compiled(function: Function) -> Function:
+    """Compiled when first called, not kept on disk."""
+    result: Function = njit(**OPTIONS)(function)
+    return result
+
+
+def kept(function: Function) -> Function:
+    """Compiled when first called, and kept on disk if there is a place for it: beside the module or, where
+    that is read-only, in the user's cache."""
+    try:
+        result: Function = njit(cache=True, **OPTIONS)(function)
+    except RuntimeError:  # no place that can be written to
+        return compiled(function)
+    return result
+
+
+def source_key(*modules: ModuleType) -> str:
+    """A key that differs when any module's source does."""
+    text = "".join(inspect.getsource(module) for module in modules)
+    return hashlib.sha256(text.encode()).hexdigest()
