@@ -250,11 +250,17 @@ def read_tracks(folder: Path) -> Iterator[Tracks]:
 
 
 def read_predictions(folder: Path) -> Iterator[Predictions]:
-    """The `Predictions` records of a run folder, one a frame that has any."""
-    rows = _Rows(folder / "predictions.parquet")
+    """The `Predictions` records of a run folder, one a frame, also where nothing was predicted: that nothing
+    was seen is known too. None at all where the whole table is empty."""
+    path = folder / "predictions.parquet"
+    first = [_first_value(path, name) for name in ("timestamp_ns", "target_ns")]
+    if first[0] is None:
+        return
+    rows = _Rows(path)
     for frame, _ in _frame_rows(folder / "frames.parquet"):
         part = rows.of(frame["frame_index"])
         if not len(part):
+            yield _nothing_predicted(frame["frame_index"], frame["timestamp_ns"], (first[1] - first[0]) / 1e9)
             continue
         step = _column(part, "step")
         steps = int(step.max())
@@ -275,7 +281,24 @@ def read_predictions(folder: Path) -> Iterator[Predictions]:
         )
 
 
+def _nothing_predicted(frame_index: int, stamp_ns: int, step_s: float) -> Predictions:
+    return Predictions(
+        frame_index=frame_index,
+        stamp_ns=stamp_ns,
+        step_s=step_s,
+        track_id=np.zeros(0, dtype=np.int64),
+        is_static=np.zeros(0, dtype=np.bool_),
+        position_m=np.zeros((0, 1, 3)),
+        velocity_mps=np.zeros((0, 1, 2)),
+        covariance_m2=np.zeros((0, 1, 2, 2)),
+        radius_m=np.zeros(0),
+        sigma_radius_m=np.zeros((0, 1)),
+        conformal_radius_m=np.zeros((0, 1)),
+    )
+
+
 def _first_value(path: Path, column: str) -> Any:
     for batch in batches(path, batch_size=1, columns=[column]):
-        return batch.column(0)[0].as_py()
+        if len(batch):
+            return batch.column(0)[0].as_py()
     return None

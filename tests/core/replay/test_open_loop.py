@@ -89,9 +89,9 @@ def test_a_log_of_another_vehicle_is_refused(log_along_x: Any) -> None:
         check_speed(log_along_x(8.3), CONFIG)
     with pytest.raises(UsageError, match=r"max_speed_mps=2\.2"):
         check_speed(log_along_x(2.15), CONFIG)
+    forth_and_back = np.outer(0.5 * np.minimum(np.arange(19), 18 - np.arange(19)), [1, 0, 0])
     with pytest.raises(UsageError, match=r"reversed with up to 0\.5 m/s, .*min_speed_mps=-0\.5"):
-        forth_and_back = 0.5 * np.minimum(np.arange(19), 18 - np.arange(19))
-        check_speed(LogPath(SECOND * np.arange(19), np.outer(forth_and_back, [1, 0, 0])), CONFIG)
+        check_speed(LogPath(SECOND * np.arange(19), forth_and_back), CONFIG)
 
 
 def test_a_moment_of_speeding_is_not(log_along_x: Any) -> None:
