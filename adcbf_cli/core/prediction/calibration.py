@@ -11,7 +11,6 @@ on a real log is a matter of measurement, not a guarantee.
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,12 +24,23 @@ MAX_FILE_STEPS = 1000
 FIRST_CAPACITY = 256
 
 
+RANK_SLACK = 1e-9
+"""(n + 1) p is a whole number for common choices, which rounding must not lift to the next."""
+
+
 def conformal_quantile(residuals: FloatArray, probability: float) -> float:
     """The split-conformal radius of residuals (n,), NaN where they are too few for the probability."""
-    rank = math.ceil((len(residuals) + 1) * probability - 1e-9)
-    if rank > len(residuals):
-        return math.nan
-    return float(np.partition(residuals, rank - 1)[rank - 1])
+    return float(conformal_quantiles(residuals[None], probability)[0])
+
+
+def conformal_quantiles(residuals: FloatArray, probability: float) -> FloatArray:
+    """The radii (m,) of m sets of equally many residuals, (m, n)."""
+    m, n = residuals.shape
+    rank = math.ceil((n + 1) * probability - RANK_SLACK)
+    if rank > n:
+        return np.full(m, np.nan)
+    radius: FloatArray = np.partition(residuals, rank - 1, axis=1)[:, rank - 1]
+    return radius
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,55 +99,134 @@ class Calibration:
 
 
 class ResidualPool:
-    """The newest residuals of each group and step, at most `window` of them."""
+    """The newest residuals of each group and step, at most `window` of them, and their quantiles.
+
+    A quantile stays what it was for as long as it has the right number of residuals below it: so those
+    numbers are kept up to date, and residuals are searched only where the quantile has moved.
+    """
 
     def __init__(self, steps: int, window: int) -> None:
+        cells = len(GROUPS) * steps
+        self._steps = steps
         self._window = window
-        self._values = np.zeros((len(GROUPS), steps, min(window, FIRST_CAPACITY)))
-        self.count = np.zeros((len(GROUPS), steps), dtype=np.int64)
-        """(2, N) residuals ever added."""
+        self._values = np.zeros((cells, min(window, FIRST_CAPACITY)))
+        self._count = np.zeros(cells, dtype=np.int64)
+        self._probability = math.nan
+        self._quantile = np.full(cells, np.nan)
+        self._less = np.zeros(cells, dtype=np.int64)  # residuals below the quantile, and up to it
+        self._up_to = np.zeros(cells, dtype=np.int64)
 
     def add(self, group: int, step: int, residuals: FloatArray) -> None:
         """Residuals (n,) of the prediction `step` (from 0) ahead."""
-        residuals = residuals[-self._window :]
-        start = int(self.count[group, step])
-        self._reserve(min(start + len(residuals), self._window))
-        places = (start + np.arange(len(residuals))) % self._window
-        self._values[group, step, places] = residuals
-        self.count[group, step] += len(residuals)
+        self.add_all(np.full(len(residuals), group), np.full(len(residuals), step), residuals)
+
+    def add_all(self, group: IntArray, step: IntArray, residuals: FloatArray) -> None:
+        """Residuals (n,), the oldest first, each of its group and of a prediction `step` (from 0) ahead."""
+        cell = group * self._steps + step
+        size = np.bincount(cell, minlength=len(self._count))
+        order = np.argsort(cell, kind="stable")
+        cell, residuals = cell[order], residuals[order]
+        place = np.arange(len(cell)) - (np.cumsum(size) - size)[cell]
+        if size.max(initial=0) > self._window:
+            kept = place >= size[cell] - self._window
+            cell, residuals, place = cell[kept], residuals[kept], place[kept]
+        place = (self._count[cell] + place) % self._window
+        self._reserve(int(min((self._count + size).max(), self._window)))
+        replaced = np.where(self._count[cell] > place, self._values[cell, place], np.inf)
+        self._values[cell, place] = residuals
+        self._count += size
+        level, cells = self._quantile[cell], len(size)
+        less = (residuals < level).astype(np.int64) - (replaced < level)
+        up_to = (residuals <= level).astype(np.int64) - (replaced <= level)
+        self._less += np.bincount(cell, less, cells).astype(np.int64)
+        self._up_to += np.bincount(cell, up_to, cells).astype(np.int64)
 
     @property
     def samples(self) -> IntArray:
         """(2, N) residuals held."""
-        return np.minimum(self.count, self._window)
+        return np.minimum(self._count, self._window).reshape(len(GROUPS), self._steps)
 
     def quantiles(self, probability: float) -> FloatArray:
         """(2, N) conformal radii."""
-        samples = self.samples
-        return np.array(
-            [
-                [conformal_quantile(row[:n], probability) for row, n in zip(rows, counts, strict=True)]
-                for rows, counts in zip(self._values, samples, strict=True)
-            ]
-        )
+        if probability != self._probability:
+            self._probability = probability
+            self._quantile[:], self._less[:], self._up_to[:] = np.nan, 0, 0
+        held = np.minimum(self._count, self._window)
+        rank = np.ceil((held + 1) * probability - RANK_SLACK).astype(np.int64)
+        moved = (rank <= held) & ((self._less >= rank) | (self._up_to < rank))
+        for n in np.unique(held[moved]).tolist():
+            self._search(np.flatnonzero(moved & (held == n)), n, probability)
+        return self._quantile.reshape(len(GROUPS), self._steps).copy()
+
+    def _search(self, cells: IntArray, n: int, probability: float) -> None:
+        """Finds the quantiles of cells that hold n residuals each."""
+        values = self._values[cells, :n]
+        found = conformal_quantiles(values, probability)
+        self._quantile[cells] = found
+        self._less[cells] = (values < found[:, None]).sum(axis=1)
+        self._up_to[cells] = (values <= found[:, None]).sum(axis=1)
 
     def _reserve(self, needed: int) -> None:
-        held = self._values.shape[2]
+        held = self._values.shape[1]
         if needed > held:
             size = min(max(needed, 2 * held), self._window)
-            grown = np.zeros((*self._values.shape[:2], size))
-            grown[:, :, :held] = self._values
+            grown = np.zeros((len(self._values), size))
+            grown[:, :held] = self._values
             self._values = grown
 
 
-@dataclass(frozen=True, slots=True)
 class _Pending:
-    """Predictions of one frame that still wait for their future."""
+    """Predictions that still wait for their future: one row a frame and track, frames in the order of
+    time, a frame's tracks by id. Rows are added at the end and dropped from the beginning."""
 
-    stamp_ns: int
-    track_id: IntArray
-    is_static: BoolArray
-    position_m: FloatArray
+    def __init__(self, steps: int) -> None:
+        self._stamp_ns = np.zeros(FIRST_CAPACITY, dtype=np.int64)
+        self._track_id = np.zeros(FIRST_CAPACITY, dtype=np.int64)
+        self._group = np.zeros(FIRST_CAPACITY, dtype=np.int64)
+        self._xy_m = np.zeros((FIRST_CAPACITY, steps, 2))
+        self._begin = self._end = 0
+
+    @property
+    def stamp_ns(self) -> IntArray:
+        return self._stamp_ns[self._begin : self._end]
+
+    @property
+    def track_id(self) -> IntArray:
+        return self._track_id[self._begin : self._end]
+
+    @property
+    def group(self) -> IntArray:
+        return self._group[self._begin : self._end]
+
+    @property
+    def xy_m(self) -> FloatArray:
+        return self._xy_m[self._begin : self._end]
+
+    def append(self, predictions: Predictions) -> None:
+        n = len(predictions)
+        if self._end + n > len(self._stamp_ns):
+            self._make_room(n)
+        rows = slice(self._end, self._end + n)
+        order = np.argsort(predictions.track_id)
+        self._stamp_ns[rows] = predictions.stamp_ns
+        self._track_id[rows] = predictions.track_id[order]
+        self._group[rows] = predictions.is_static[order]
+        self._xy_m[rows] = predictions.position_m[order, :, :2]
+        self._end += n
+
+    def drop_before(self, stamp_ns: int) -> None:
+        """Drops the frames up to this stamp."""
+        self._begin += int(np.searchsorted(self.stamp_ns, stamp_ns, side="right"))
+
+    def _make_room(self, n: int) -> None:
+        """Moves the rows to the beginning of arrays at least twice as long as what they must hold."""
+        size = max(2 * (self._end - self._begin + n), len(self._stamp_ns))
+        for name in ("_stamp_ns", "_track_id", "_group", "_xy_m"):
+            old = getattr(self, name)
+            new = np.zeros((size, *old.shape[1:]), dtype=old.dtype)
+            new[: self._end - self._begin] = old[self._begin : self._end]
+            setattr(self, name, new)
+        self._begin, self._end = 0, self._end - self._begin
 
 
 class ResidualCollector:
@@ -151,50 +240,51 @@ class ResidualCollector:
         self.pool = ResidualPool(steps, window)
         self._steps = steps
         self._step_ns = round(step_s * 1e9)
-        self._pending: deque[_Pending] = deque()
+        self._pending = _Pending(steps)
         self._last: tuple[int, IntArray, FloatArray] | None = None
 
     def observe(self, tracks: Tracks) -> None:
         """Compares this frame's tracks with what was predicted for the time since the last one."""
-        seen = (tracks.status == TrackStatus.CONFIRMED) & (tracks.cluster_id != NO_ID)
+        seen = np.flatnonzero((tracks.status == TrackStatus.CONFIRMED) & (tracks.cluster_id != NO_ID))
+        seen = seen[np.argsort(tracks.track_id[seen])]
         now = (tracks.stamp_ns, tracks.track_id[seen], tracks.state[seen, :2])
         last, self._last = self._last, now
         if last is None or tracks.stamp_ns <= last[0]:
             return
-        both, before, after = np.intersect1d(last[1], now[1], assume_unique=True, return_indices=True)
-        for pending in self._pending:
-            self._compare(pending, both, (last[0], last[2][before]), (now[0], now[2][after]))
-        while self._pending and self._pending[0].stamp_ns + self._steps * self._step_ns <= tracks.stamp_ns:
-            self._pending.popleft()
+        found, where = _find(last[1], now[1])
+        both = np.flatnonzero(found)
+        if len(both):
+            self._compare(now[1][both], (last[0], last[2][where[both]]), (now[0], now[2][both]))
+        self._pending.drop_before(tracks.stamp_ns - self._steps * self._step_ns)
 
     def remember(self, predictions: Predictions) -> None:
         """Keeps a frame's predictions until their horizon has passed."""
         if len(predictions):
-            self._pending.append(
-                _Pending(
-                    predictions.stamp_ns,
-                    predictions.track_id,
-                    predictions.is_static,
-                    predictions.position_m[:, :, :2],
-                )
-            )
+            self._pending.append(predictions)
 
-    def _compare(
-        self,
-        pending: _Pending,
-        seen_id: IntArray,
-        before: tuple[int, FloatArray],
-        after: tuple[int, FloatArray],
-    ) -> None:
-        first = (before[0] - pending.stamp_ns) // self._step_ns + 1
-        last = min((after[0] - pending.stamp_ns) // self._step_ns, self._steps)
-        if first > last or not len(seen_id):
+    def _compare(self, seen_id: IntArray, before: tuple[int, FloatArray], after: tuple[int, FloatArray]) -> None:
+        """Pools the residuals of all predicted times after `before` and up to `after` (stamp, positions (n, 2))
+        of the tracks seen_id (n,), ascending."""
+        pending = self._pending
+        found, seen = _find(seen_id, pending.track_id)
+        first = np.maximum((before[0] - pending.stamp_ns) // self._step_ns + 1, 1)
+        last = np.minimum((after[0] - pending.stamp_ns) // self._step_ns, self._steps)
+        rows = np.flatnonzero(found & (first <= last))
+        if not len(rows):
             return
-        _, rows, seen = np.intersect1d(pending.track_id, seen_id, assume_unique=True, return_indices=True)
-        for k in range(max(first, 1), last + 1):
-            share = (pending.stamp_ns + k * self._step_ns - before[0]) / (after[0] - before[0])
-            place = before[1][seen] + share * (after[1][seen] - before[1][seen])
-            residual = np.linalg.norm(pending.position_m[rows, k - 1] - place, axis=1)
-            static = pending.is_static[rows]
-            for group, members in enumerate((~static, static)):
-                self.pool.add(group, k - 1, residual[members])
+        times = (last - first + 1)[rows]
+        rows = np.repeat(rows, times)
+        step = first[rows] + np.arange(len(rows)) - np.repeat(np.cumsum(times) - times, times)
+        seen = seen[rows]
+        share = (pending.stamp_ns[rows] + step * self._step_ns - before[0]) / (after[0] - before[0])
+        place = before[1][seen] + share[:, None] * (after[1][seen] - before[1][seen])
+        off = pending.xy_m[rows, step - 1] - place
+        self.pool.add_all(pending.group[rows], step - 1, np.sqrt(off[:, 0] * off[:, 0] + off[:, 1] * off[:, 1]))
+
+
+def _find(sorted_ids: IntArray, ids: IntArray) -> tuple[BoolArray, IntArray]:
+    """Which of ids (n,) are among sorted_ids (m,), and where (n,)."""
+    if not len(sorted_ids):
+        return np.zeros(len(ids), dtype=bool), np.zeros(len(ids), dtype=np.int64)
+    where = np.minimum(np.searchsorted(sorted_ids, ids), len(sorted_ids) - 1)
+    return sorted_ids[where] == ids, where

@@ -87,10 +87,14 @@ class Predictor:
         return self._propagators[model]
 
     def _horizon(self, propagator: Propagator, tracks: Tracks, rows: BoolArray) -> Horizon:
+        still = tracks.is_static[rows]
+        standing = self._standing(tracks, rows) if still.any() else None
+        if standing is not None and still.all():
+            return standing
         manoeuvre = None if tracks.manoeuvre is None else tracks.manoeuvre[rows]
         moving = propagator(tracks.state[rows], tracks.covariance[rows], manoeuvre)
-        standing = self._standing(tracks, rows)
-        still = tracks.is_static[rows]
+        if standing is None:
+            return moving
         return Horizon(
             np.where(still[:, None, None], standing.position_m, moving.position_m),
             np.where(still[:, None, None], standing.velocity_mps, moving.velocity_mps),

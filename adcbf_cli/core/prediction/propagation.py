@@ -38,7 +38,7 @@ class Propagator:
         self._step_s = step_s
         if self._kalman.motion.linear:
             self._maps = self._transition_powers()
-            self._noise = [self._accumulated_noise(mode) for mode in np.eye(len(self._chain.noise_factor))]
+            self._noise = np.stack([self._accumulated_noise(mode) for mode in np.eye(len(self._chain.noise_factor))])
 
     def __call__(self, states: FloatArray, covariances: FloatArray, manoeuvre: FloatArray | None) -> Horizon:
         """states (n, d), covariances (n, d, d); manoeuvre: (n,) probability, None: the usual share."""
@@ -55,7 +55,7 @@ class Propagator:
         future = np.einsum("kij,nj->nki", self._maps[:, :6], states)
         plane = self._maps[:, :2]
         spread = plane[None] @ covariances[:, None] @ np.swapaxes(plane, 1, 2)[None]
-        noise = np.einsum("nm,mkij->nkij", modes, np.stack(self._noise))
+        noise = np.einsum("nm,mkij->nkij", modes, self._noise)
         return Horizon(future[..., :3], future[..., 3:5], spread + noise)
 
     def _stepwise(self, states: FloatArray, covariances: FloatArray, modes: FloatArray) -> Horizon:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adcbf_cli.core.config import PredictionConfig, TrackingConfig
@@ -16,6 +16,7 @@ from adcbf_cli.core.errors import AdcbfError, UsageError
 from adcbf_cli.core.prediction.calibration import Calibration, ResidualPool, conformal_quantile
 from adcbf_cli.core.prediction.predictor import Predictor, learn_calibration, predict_tracks, sigma_radius
 from adcbf_cli.core.types import Notes, Predictions, Tracks, TrackStatus
+from tests.core.prediction.conftest import build_tracks
 
 Make = Callable[..., Tracks]
 TRACKING = TrackingConfig()
@@ -129,6 +130,64 @@ def test_pool_keeps_the_newest() -> None:
     assert np.isnan(pool.quantiles(0.5)[0, 0])
     pool.add(1, 0, np.arange(5000.0))
     assert pool.quantiles(0.5)[1, 0] == conformal_quantile(np.arange(4700.0, 5000.0), 0.5)
+
+
+@given(st.data())
+def test_pools_quantiles_are_those_of_the_newest_residuals(data: st.DataObject) -> None:
+    """Whatever comes in whichever portions, ties included: sorted lists are the oracle."""
+    steps, window = 3, data.draw(st.integers(1, 40))
+    probability = data.draw(st.sampled_from([0.5, 0.8, 0.95]))
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+    pool = ResidualPool(steps, window)
+    came: list[list[float]] = [[] for _ in range(2 * steps)]
+    for n in data.draw(st.lists(st.integers(0, 120), max_size=12)):
+        group, step = rng.integers(0, 2, n), rng.integers(0, steps, n)
+        residuals = rng.integers(0, 12, n) / 4.0 if rng.random() < 0.5 else rng.exponential(size=n)
+        pool.add_all(group, step, residuals)
+        for g, k, residual in zip(group.tolist(), step.tolist(), residuals.tolist(), strict=True):
+            came[g * steps + k].append(residual)
+        expected = [conformal_quantile(np.array(values[-window:]), probability) for values in came]
+        assert np.array_equal(pool.quantiles(probability).ravel(), expected, equal_nan=True)
+        assert pool.samples.ravel().tolist() == [min(len(values), window) for values in came]
+    other = [conformal_quantile(np.array(values[-window:]), 0.3) for values in came]
+    assert np.array_equal(pool.quantiles(0.3).ravel(), other, equal_nan=True)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=40)
+def test_residuals_are_those_of_every_prediction_compared_by_itself(seed: int) -> None:
+    """Tracks come, go and coast, ids in any order, frames at uneven times: each predicted time between two
+    frames in both of which its track was seen gives one residual, in the order of the predictions."""
+    rng = np.random.default_rng(seed)
+    steps, step_s = 6, 0.1
+    config = PredictionConfig(steps=steps, step_s=step_s, probability=0.5, calibration_window=10)
+    predictor = Predictor(config, TRACKING, Notes())
+    stamps = np.cumsum(rng.choice([0.02, 0.1, 0.1, 0.25, 0.9], 25))
+    pool, made, last = ResidualPool(steps, 10), [], None
+    for time_s in stamps.tolist():
+        ids = rng.permutation(9)[: rng.integers(0, 7)]
+        tracks = build_tracks(
+            time_s,
+            rng.normal(size=(len(ids), 6)),
+            track_id=ids,
+            seen=rng.random(len(ids)) < 0.8,
+            is_static=rng.random(len(ids)) < 0.4,
+        )
+        seen = {i: at for i, at, c in zip(ids.tolist(), tracks.state[:, :2], tracks.cluster_id, strict=True) if c >= 0}
+        for p in made if last is not None else []:
+            for k in range(steps):
+                share = (p.stamp_ns + (k + 1) * 10**8 - last[0]) / (tracks.stamp_ns - last[0])
+                for row in np.argsort(p.track_id) if 0 < share <= 1 else []:
+                    i = int(p.track_id[row])
+                    if i in seen and i in last[1]:
+                        place = last[1][i] + share * (seen[i] - last[1][i])
+                        off = p.position_m[row, k, :2] - place
+                        pool.add(int(p.is_static[row]), k, np.array([np.hypot(*off)]))
+        last = (tracks.stamp_ns, seen)
+        made.append(predictor(tracks))
+        assert predictor.residuals is not None
+        assert np.array_equal(predictor.residuals.pool.samples, pool.samples)
+        np.testing.assert_allclose(predictor.residuals.pool.quantiles(0.5), pool.quantiles(0.5), rtol=1e-12)
 
 
 def wandering(make_tracks: Make, frames: int, seed: int, dt: float = 0.1, n: int = 8) -> list[Tracks]:
