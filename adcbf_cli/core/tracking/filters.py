@@ -75,6 +75,7 @@ class BatchFilter:
         self.measurement: Measurement = Cartesian(planar) if config.filter == "kf" else Spherical(planar)
         self._unscented = config.filter == "ukf"
         self._weights = SigmaWeights.merwe(self.motion.dimension, config)
+        self._widest_shift_m = config.sigma_range_m
         self._notes = notes
 
     def predict(
@@ -98,13 +99,16 @@ class BatchFilter:
         return centre + mean, symmetrised(covariance + noise)
 
     def expect(self, states: FloatArray, covariances: FloatArray, world_from_sensor: FloatArray) -> Expectation:
-        """The measurement that states (n, d) lead to expect, seen from the sensor's pose (4, 4)."""
+        """The measurement that states (n, d) lead to expect, seen from the sensor's pose (4, 4).
+
+        Where a state's spread is so wide beside its range that the sphere's curvature shifts the expected
+        range by more than the sensor's noise, sigma points give way to the tangent: the shift would be taken
+        for an innovation, and draw a new track of unknown speed near the sensor towards it.
+        """
         rotation = world_from_sensor[:3, :3]
         points = (states[:, :3] - world_from_sensor[:3, 3]) @ rotation
         if not self._unscented:
-            jacobian = self.measurement.jacobian(points) @ rotation.T
-            cross = covariances[:, :, :3] @ np.swapaxes(jacobian, 1, 2)
-            return Expectation(self.measurement.observe(points), jacobian @ cross[:, :3], cross)
+            return self._linearised(points, covariances, rotation)
         factor, _ = cholesky_with_repair(covariances, self._notes)
         # The factor is lower triangular and the measurement sees positions only: beyond the first
         # three pairs of sigma points the measurement does not change, and they add nothing.
@@ -116,7 +120,17 @@ class BatchFilter:
         mean, covariance = self._transformed(deviations)
         opposite = deviations[:, :3] - deviations[:, 3:]
         cross = self._weights.outer * np.swapaxes(columns, 1, 2) @ opposite
+        bent = np.abs(mean[:, 0]) > self._widest_shift_m
+        if bent.any():
+            linear = self._linearised(points[bent], covariances[bent], rotation)
+            mean[bent], covariance[bent], cross[bent] = 0.0, linear.covariance, linear.cross
         return Expectation(centre + mean, covariance, cross)
+
+    def _linearised(self, points_m: FloatArray, covariances: FloatArray, rotation: FloatArray) -> Expectation:
+        """The same by the measurement's Jacobian at points (n, 3), sensor frame."""
+        jacobian = self.measurement.jacobian(points_m) @ rotation.T
+        cross = covariances[:, :, :3] @ np.swapaxes(jacobian, 1, 2)
+        return Expectation(self.measurement.observe(points_m), jacobian @ cross[:, :3], cross)
 
     def update(
         self,

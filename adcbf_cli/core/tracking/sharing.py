@@ -43,11 +43,11 @@ def share_clusters(home: IntArray, visible_m: FloatArray, is_static: BoolArray, 
     return Sharing(np.where(count > 0, home, NO_ID), others @ visible_m / np.maximum(count, 1.0)[:, None])
 
 
-def homes(visible_m: FloatArray, eligible: BoolArray, clusters: Clusters, margin_m: float) -> IntArray:
+def homes(visible_m: FloatArray, eligible: BoolArray, clusters: Clusters, margin_m: FloatArray) -> IntArray:
     """(n,) each track's home, a row of `clusters`, or NO_ID. Pieces of a split cluster are nobody's.
 
     visible_m: (n, 2) where the tracks' visible parts are expected, world; eligible: (n,) which tracks may
-    have a home at all. Rectangles are grown by margin_m on each side.
+    have a home at all. Rectangles are grown on each side by margin_m (n,).
     """
     n = len(visible_m)
     if n == 0 or len(clusters) == 0:
@@ -56,7 +56,7 @@ def homes(visible_m: FloatArray, eligible: BoolArray, clusters: Clusters, margin
     cosine, sine = np.cos(clusters.yaw_rad), np.sin(clusters.yaw_rad)
     along = np.abs(offset[..., 0] * cosine + offset[..., 1] * sine)
     across = np.abs(offset[..., 1] * cosine - offset[..., 0] * sine)
-    inside = (along <= clusters.length_m / 2 + margin_m) & (across <= clusters.width_m / 2 + margin_m)
+    inside = (along <= clusters.length_m / 2 + margin_m[:, None]) & (across <= clusters.width_m / 2 + margin_m[:, None])
     inside &= eligible[:, None] & (clusters.split_from == NO_ID)[None, :]
     size = np.where(inside, clusters.radius_m, np.inf)
     smallest = np.argmin(size, axis=1)

@@ -135,7 +135,7 @@ class Tracker:
         state, covariance = combine(bank.states, bank.covariances, bank.modes)
         expected = kalman.expect(state, covariance, clusters.world_from_sensor)
         noise = self._noise(bank, kalman, np.arange(len(bank)), state, clusters.world_from_sensor)
-        sharing = self._sharing(bank, state, clusters)
+        sharing = self._sharing(bank, state, covariance, clusters)
         views = view_bodies(bank.bodies, state[:, :2], bank.is_structure, clusters, sharing, self._config)
         every = kalman.measurement.observe(views.centre_sensor_m(clusters))
         total = symmetrised(expected.covariance + noise)
@@ -168,11 +168,12 @@ class Tracker:
         bank.hits[rows] += 1
         return taken
 
-    def _sharing(self, bank: TrackBank, state: FloatArray, clusters: Clusters) -> Sharing:
-        """Which clusters hold several of the tracks, whose states (n, d) are expected to be these."""
+    def _sharing(self, bank: TrackBank, state: FloatArray, covariance: FloatArray, clusters: Clusters) -> Sharing:
+        """Which clusters hold several of the tracks, whose states (n, d), covariances (n, d, d), are expected."""
         visible_m = state[:, :2] + bank.bodies.seen_at_m - bank.seen_at_m
         followed = (bank.status != TrackStatus.TENTATIVE) & ~bank.is_structure
-        home = homes(visible_m, followed, clusters, self._config.sigma_range_m)
+        margin_m = np.sqrt(self._config.sigma_range_m**2 + covariance[:, 0, 0] + covariance[:, 1, 1])
+        home = homes(visible_m, followed, clusters, margin_m)
         standing = np.ones(len(bank), dtype=np.bool_)
         is_moving = ~still(standing, bank.sightings, self._now_s, bank.radius_m, self._config)
         return share_clusters(home, visible_m, bank.is_static, is_moving)

@@ -87,7 +87,7 @@ def circular_mean(sigmas: np.ndarray, weights: np.ndarray) -> np.ndarray:
     ],
 )
 def test_ukf_equals_filterpy_over_many_steps(model: str, planar: bool, mean: object, tolerance: float) -> None:
-    config = TrackingConfig(model=model)
+    config = TrackingConfig(model=model, sigma_range_m=1.0)  # wide spreads, too, go through sigma points
     notes = Notes()
     kalman = BatchFilter(config, planar, notes)
     d, k = kalman.motion.dimension, kalman.measurement.dimension

@@ -1,0 +1,112 @@
+"""A cluster that holds a moving and a standing obstacle teaches neither the other's size."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from adcbf_cli.core.config import TrackingConfig
+from adcbf_cli.core.frames import invert, transform_points
+from adcbf_cli.core.tracking.bodies import cut_surplus
+from adcbf_cli.core.tracking.sharing import homes, share_clusters
+from adcbf_cli.core.tracking.tracker import Tracker
+from adcbf_cli.core.types import NO_ID, Clusters, Notes, PointCounts, Tracks, TrackStatus
+
+POSE = np.eye(4)
+POSE[:2, 3] = 0.0, -3.0
+
+
+def boxes(time_s: float, spans: list[tuple[float, float, float, float]], pose: np.ndarray = POSE) -> Clusters:
+    """One cluster for each axis-parallel span (low x, low y, high x, high y)."""
+    low, high = np.array(spans).reshape(-1, 2, 2)[:, 0], np.array(spans).reshape(-1, 2, 2)[:, 1]
+    n, size = len(spans), high - low
+    centre = np.column_stack([(low + high) / 2, np.zeros(n)])
+    return Clusters(
+        frame_index=round(time_s * 10),
+        stamp_ns=10**18 + round(time_s * 1e9),
+        world_from_sensor=pose,
+        planar=True,
+        pose_known=True,
+        counts=PointCounts(0, 0, 0, 0, 0),
+        cluster_id=np.arange(n),
+        centre_m=centre,
+        centre_sensor_m=transform_points(invert(pose), centre),
+        radius_m=np.hypot(size[:, 0], size[:, 1]) / 2,
+        height_m=np.zeros(n),
+        length_m=size.max(axis=1),
+        width_m=size.min(axis=1),
+        yaw_rad=np.where(size[:, 1] > size[:, 0], np.pi / 2, 0.0),
+        points=np.full(n, 20),
+        probability=np.ones(n),
+        split_from=np.full(n, NO_ID),
+    )
+
+
+def test_the_home_is_the_smallest_rectangle_around_the_place() -> None:
+    clusters = boxes(0.0, [(-2, -2, 2, 2), (0, 0, 1, 0.4)])
+    places = np.array([[0.5, 0.2], [-1.0, 1.0], [1.05, 0.2], [5.0, 5.0], [0.5, 0.2]])
+    eligible = np.array([True, True, True, True, False])
+    assert homes(places, eligible, clusters, np.full(5, 0.1)).tolist() == [1, 0, 1, NO_ID, NO_ID]
+    assert homes(places, eligible, clusters, np.zeros(5)).tolist() == [1, 0, 0, NO_ID, NO_ID]
+
+
+def test_without_clusters_nobody_has_a_home() -> None:
+    assert homes(np.zeros((2, 2)), np.ones(2, bool), boxes(0.0, []), np.ones(2)).tolist() == [NO_ID, NO_ID]
+
+
+def test_only_a_standing_and_a_moving_track_share() -> None:
+    home = np.array([0, 0, 0, 1, NO_ID])
+    place = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [9.0, 9.0], [0.0, 0.0]])
+    static = np.array([False, True, False, True, True])
+    moving = np.array([True, False, False, False, False])
+    sharing = share_clusters(home, place, static, moving)
+    assert sharing.home.tolist() == [0, 0, NO_ID, NO_ID, NO_ID]
+    assert sharing.others_m[:2].tolist() == [[1.0, 0.0], [0.0, 0.0]]
+    assert sharing.pairs(2).sum() == 2
+
+
+def test_what_is_beyond_the_body_is_on_the_others_side() -> None:
+    extent, seen = np.array([2.0, 1.0]), np.array([3.0, 1.0])
+    assert cut_surplus(extent, seen, np.array([1.0, 0.0]), np.array(1.0)).tolist() == [-0.5, 0.0]
+    assert cut_surplus(extent, seen, np.array([-1.0, 0.5]), np.array(0.5)).tolist() == [0.25, 0.0]
+
+
+def drive_past_a_post(step_m: float = 0.2, merge_m: float = 0.5) -> tuple[np.ndarray, list[Tracks]]:
+    """A box of 1.0 x 0.5 m drives at 2 m/s past a post; both are one cluster while nearer than merge_m.
+    Returns the box's true centres (n, 2) and each frame's tracks."""
+    tracker, truth, history = Tracker(TrackingConfig(), Notes()), [], []
+    post = (-0.05, 0.7, 0.05, 0.8)
+    for k in range(45):
+        x = -5.0 + step_m * k
+        box = (x - 0.5, -0.25, x + 0.5, 0.25)
+        gap = np.hypot(max(abs(x) - 0.55, 0.0), 0.45)
+        both = (min(box[0], post[0]), box[1], max(box[2], post[2]), post[3])
+        history.append(tracker(boxes(0.1 * k, [both] if gap < merge_m else [box, post])))
+        truth.append((x, 0.0))
+    return np.array(truth), history
+
+
+def test_a_vehicle_that_passes_a_post_stays_where_it_is_and_as_large() -> None:
+    truth, history = drive_past_a_post()
+    box = history[20].track_id[np.argmin(np.linalg.norm(history[20].state[:, :2] - truth[20], axis=1))]
+    for frame, place in zip(history[20:], truth[20:], strict=True):
+        row = np.flatnonzero(frame.track_id == box)
+        assert len(row) == 1
+        assert frame.status[row[0]] == TrackStatus.CONFIRMED
+        assert frame.state[row[0], :2] == pytest.approx(place, abs=0.06)
+        assert frame.radius_m[row[0]] < 0.57
+    post = next(i for i in history[20].track_id if i != box)
+    assert post in history[-1].track_id
+
+
+def test_a_new_track_near_the_sensor_is_not_drawn_towards_it() -> None:
+    """Its speed is unknown, so it may be as far off as it is away: no excuse for leaving where it is seen."""
+    pose = np.eye(4)
+    pose[:2, 3] = 0.0, -0.32
+    rng = np.random.default_rng(100)
+    for config in (TrackingConfig(), TrackingConfig(model="ct"), TrackingConfig(filter="ekf")):
+        tracker = Tracker(config, Notes())
+        for k in range(12):
+            dx, dy = rng.normal(0.0, 0.005, 2)
+            tracks = tracker(boxes(0.08 * k, [(dx - 0.19, dy, dx + 0.19, dy + 0.01)], pose))
+            assert tracks.state[0, :2] == pytest.approx([0.0, 0.005], abs=0.03)
