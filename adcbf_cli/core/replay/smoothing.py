@@ -9,7 +9,8 @@ their average at the track's probability of manoeuvring.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -61,6 +62,8 @@ def smooth_tracks(frames: Iterable[Tracks], config: TrackingConfig) -> list[Smoo
     if rows is None:
         return []
     model = build_motion_model(config.model_copy(update={"model": records[0].model}), planar=False)
+    # All tracks make the same steps in time.
+    model = replace(model, process_noise=cache(model.process_noise))
     bounds = np.flatnonzero(np.diff(rows.track_id)) + 1
     smoothed = []
     for first, last in zip([0, *bounds], [*bounds, len(rows.track_id)], strict=True):
@@ -124,14 +127,6 @@ def noise_factors(rows: _Rows, part: slice, chain: ModeChain) -> FloatArray:
     return np.asarray(moved @ chain.noise_factor)
 
 
-def _process_noises(stamp_ns: IntArray, model: MotionModel) -> FloatArray:
-    """(T - 1, d, d) the model's process noise of each step; scans come at few different intervals."""
-    steps_s, which = np.unique(np.diff(stamp_ns) / 1e9, return_inverse=True)
-    if not len(steps_s):
-        return np.zeros((0, model.dimension, model.dimension))
-    return np.stack([model.process_noise(float(dt)) for dt in steps_s])[which]
-
-
 def rts_means(
     stamp_ns: IntArray, states: FloatArray, covariances: FloatArray, noise_factor: FloatArray, model: MotionModel
 ) -> FloatArray:
@@ -141,12 +136,11 @@ def rts_means(
     its Jacobian, as an extended Kalman filter does.
     """
     smoothed = states.copy()
-    process_noise = _process_noises(stamp_ns, model)
     for k in range(len(states) - 2, -1, -1):
         dt = float(stamp_ns[k + 1] - stamp_ns[k]) / 1e9
         ahead = model.propagate(states[k : k + 1], dt)[0]
         jacobian = model.jacobian(states[k : k + 1], dt).reshape(states.shape[1], -1)
         cross = jacobian @ covariances[k]
-        predicted = cross @ jacobian.T + noise_factor[k] * process_noise[k]
+        predicted = cross @ jacobian.T + noise_factor[k] * model.process_noise(dt)
         smoothed[k] += np.linalg.solve(predicted, cross).T @ (smoothed[k + 1] - ahead)
     return smoothed
