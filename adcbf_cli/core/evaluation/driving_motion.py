@@ -283,7 +283,7 @@ MOTION: tuple[DriveMetric, ...] = (
     DriveMetric(
         "diverged_share",
         "1",
-        "lower",
+        "neither",
         _CLOSED,
         "ticks at which the log tells its vehicle's place",
         "share farther than replay.divergence_m from it",
@@ -292,7 +292,7 @@ MOTION: tuple[DriveMetric, ...] = (
     DriveMetric(
         "after_recording_s",
         "s",
-        "lower",
+        "neither",
         _CLOSED,
         "ticks",
         "time driven after the recording's end, when nothing is known of obstacles that move",

@@ -7,19 +7,20 @@ CALM_S apart are one episode, so the CALM_S before an episode are free of any.
 What the vehicle did in those CALM_S is how it drives when it avoids nothing: it may be speeding
 up, coming back to the path or cutting a corner. Avoidance has begun at the first tick that departs
 from that by more than the tolerance, or whose plan comes from the fallback ladder. Where this is so
-at the episode's first tick already, the answer took no time.
+at the episode's first tick already, the answer took no time. Nor did it where the departure that
+answered the episode before has lasted until then.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from adcbf_cli.core.evaluation.driving_evidence import Applies, DriveMetric, Evidence
 from adcbf_cli.core.evaluation.driving_planning import fell_back
-from adcbf_cli.core.replay.records import PlanSteps, Result
+from adcbf_cli.core.replay.records import Drive, Result
 from adcbf_cli.core.types import BoolArray, FloatArray
 
 CALM_S = 1.0
@@ -37,6 +38,11 @@ class Episode:
     first: int
     last: int
 
+    @property
+    def before(self) -> slice:
+        """The calm, with the tick at which it ends."""
+        return slice(self.calm, self.first + 1)
+
 
 def episodes(conflict: BoolArray, elapsed_s: FloatArray) -> list[Episode]:
     """The conflict episodes of (T,) ticks."""
@@ -49,50 +55,46 @@ def episodes(conflict: BoolArray, elapsed_s: FloatArray) -> list[Episode]:
     return [Episode(*map(int, row)) for row in zip(calms, firsts, lasts, strict=True)]
 
 
-def vehicle_departs(evidence: Evidence, episode: Episode) -> BoolArray:
-    """(ticks of the episode,) whether the vehicle itself has left the tracking of the reference."""
-    drive = evidence.drive
-    speed = drive.inputs[:, 0]
-    calm, now = slice(episode.calm, episode.first + 1), slice(episode.first, episode.last + 1)
-    usual = min(float(speed[calm].max()), drive.reference_speed_mps)
-    slower = speed[now] < usual - REACTION_MPS
-    faster = speed[now] > max(float(speed[calm].min()), drive.reference_speed_mps) + REACTION_MPS
-    aside = drive.reference_m[now] > drive.reference_m[calm].min() + REACTION_M
-    return np.asarray(slower | faster | aside)
+def vehicle_departs(drive: Drive, calm: slice, now: slice) -> BoolArray:
+    """(ticks of `now`,) whether the vehicle drives otherwise than it did in the ticks of `calm`."""
+    speed, aside_m, reference_mps = drive.inputs[:, 0], drive.reference_m, drive.reference_speed_mps
+    slower = speed[now] < min(float(speed[calm].max()), reference_mps) - REACTION_MPS
+    faster = speed[now] > max(float(speed[calm].min()), reference_mps) + REACTION_MPS
+    return np.asarray(slower | faster | (aside_m[now] > aside_m[calm].min() + REACTION_M))
 
 
-def plan_departs(steps: PlanSteps, episode: Episode) -> BoolArray:
-    """(ticks of the episode,) whether the plan has left the reference."""
-    calm, now = slice(episode.calm, episode.first + 1), slice(episode.first, episode.last + 1)
-    before = steps.deviation_m[calm]
-    usual = float(np.nanmin(before)) if np.isfinite(before).any() else 0.0
-    with np.errstate(invalid="ignore"):
-        return np.asarray(steps.deviation_m[now] > usual + REACTION_M)
+def plan_departs(drive: Drive, calm: slice, now: slice) -> BoolArray:
+    """(ticks of `now`,) whether plans leave the reference more than they did in the ticks of `calm`."""
+    if drive.steps is None:
+        return np.zeros(now.stop - now.start, dtype=np.bool_)
+    away_m = drive.steps.deviation_m
+    return np.asarray(away_m[now] > away_m[calm].min() + REACTION_M)
 
 
-def answers(evidence: Evidence, departs: Callable[[PlanSteps, Episode], BoolArray]) -> list[float | None] | None:
+def answers(evidence: Evidence, departs: Callable[[Drive, slice, slice], BoolArray]) -> list[float | None] | None:
     """Seconds from the start of each episode to its answer, None where none came; None as a whole
     where it is not known what was in conflict."""
-    steps = evidence.drive.steps
-    if steps is None:
+    drive, elapsed_s = evidence.drive, evidence.elapsed_s
+    if drive.steps is None:
         return None
-    elapsed_s = evidence.elapsed_s
-    fallback = fell_back(evidence, steps)
-    last = len(elapsed_s) - (evidence.drive.result is Result.COLLISION)  # an answer at the collision is none
+    fallback = fell_back(evidence, drive.steps)
+    last = len(elapsed_s) - (drive.result is Result.COLLISION)  # an answer at the collision is none
     found: list[float | None] = []
-    for episode in episodes(steps.conflict, elapsed_s):
-        begun = departs(steps, episode) | fallback[episode.first : episode.last + 1]
-        begun = begun[: max(last - episode.first, 0)]
-        if not begun.any():
-            found.append(None)
+    avoiding: Episode | None = None  # answered, and lasting up to the last that found it still going on
+    for episode in episodes(drive.steps.conflict, elapsed_s):
+        if avoiding and departs(drive, avoiding.before, slice(avoiding.last, episode.first + 1)).all():
+            avoiding = replace(avoiding, last=episode.last)
+            found.append(0.0)
             continue
-        tick = episode.first + int(np.argmax(begun))
-        found.append(float(elapsed_s[tick] - elapsed_s[episode.first]))
+        now = slice(episode.first, min(episode.last + 1, last))
+        begun = np.flatnonzero(departs(drive, episode.before, now) | fallback[now])
+        avoiding = episode if begun.size else None
+        found.append(float(elapsed_s[episode.first + begun[0]] - elapsed_s[episode.first]) if begun.size else None)
     return found
 
 
 def _executed(evidence: Evidence) -> list[float | None] | None:
-    return answers(evidence, lambda _, episode: vehicle_departs(evidence, episode))
+    return answers(evidence, vehicle_departs)
 
 
 def _mean_answer(answered: list[float | None] | None) -> float | None:

@@ -103,6 +103,16 @@ def test_the_mean_is_over_answered_episodes_and_the_others_are_counted() -> None
     assert scores(conflicting(conflict, reference_m=aside)) == (pytest.approx(0.3), None, 3, 1)
 
 
+def test_avoidance_that_lasts_from_the_episode_before_took_no_time() -> None:
+    """0.5 m aside from tick 12 until 60, and back by then: the third episode finds that it is over."""
+    conflict = between(10, 20) | between(40, 50) | between(75, 80)
+    aside = np.where(between(12, 60), 0.5, 0.0)
+    drive = conflicting(conflict, reference_m=aside, deviation_m=aside)
+    assert scores(drive) == (pytest.approx((0.2 + 0.0) / 2), pytest.approx((0.2 + 0.0) / 2), 3, 1)
+    interrupted = np.where(between(25, 25), 0.0, aside)
+    assert scores(conflicting(conflict, reference_m=interrupted))[3] == 2, "back on the path for a moment"
+
+
 def test_an_unanswered_collision() -> None:
     drive = conflicting(between(40, 99), result=Result.COLLISION)
     assert scores(drive) == (None, None, 1, 1)
