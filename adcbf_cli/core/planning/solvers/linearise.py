@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 
-
 from adcbf_cli.core.planning.solvers.compiling import compiled
 from adcbf_cli.core.planning.solvers.packing import (
     CAP,

@@ -15,6 +15,12 @@ from adcbf_cli.core.planning.barrier import AdaptiveGamma
 from adcbf_cli.core.planning.problem import Instance, Problem, Solution, SolverStatus
 from adcbf_cli.core.types import FloatArray
 
+TOLERANCE = 1e-6
+"""A decrease of the merit that is relatively smaller ends the iterations."""
+
+LONGEST_STEP, SHORTEST_STEP = 8.0, 1.0 / 4096.0
+"""How far the line searches go, as factors of a programme's step."""
+
 HAIR = np.array([0.0, 1e-4])
 
 

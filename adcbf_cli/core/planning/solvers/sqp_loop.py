@@ -22,14 +22,11 @@ from adcbf_cli.core.planning.solvers import compiling, packing, stage_qp
 from adcbf_cli.core.planning.solvers import linearise as linearising
 from adcbf_cli.core.planning.solvers.compiling import compiled, kept, source_key
 from adcbf_cli.core.planning.solvers.linearise import linearise, merit_of, roll_out
-from adcbf_cli.core.planning.solvers.packing import Model, Scene, StageQp
+from adcbf_cli.core.planning.solvers.packing import LONGEST_STEP, SHORTEST_STEP, TOLERANCE, Model, Scene, StageQp
 from adcbf_cli.core.planning.solvers.stage_qp import solve_qp
 from adcbf_cli.core.types import FloatArray
 
 CONVERGED, LIMIT, FAILED = 0, 1, 2
-
-TOLERANCE = 1e-6
-"""A decrease of the merit that is relatively smaller ends the iterations."""
 
 MU_START, MU_LEAST = 10.0, 0.01
 """Complementarity that programmes start from: far from a solution, and next to it."""
@@ -38,7 +35,6 @@ MU_END, MU_END_MOST = 1e-6, 1e-4
 """Complementarity that programmes are solved to: next to a solution, and far from it."""
 
 NEWTON_STEPS = 25
-LONGEST_STEP, SHORTEST_STEP = 8.0, 1.0 / 4096.0
 
 
 Entry = Callable[[Model, Scene, StageQp, FloatArray, int, int], tuple[FloatArray, float, int, int]]
@@ -82,7 +78,10 @@ def solve_sqp(
         step, _ = solve_qp(qp, mu, mu_end, NEWTON_STEPS)
         length = _search(model, scene, inputs, step, merit, trial, trial_poses)
         if length == 0.0:
-            return inputs, merit, iteration + 1, CONVERGED
+            if mu_end == MU_END:
+                return inputs, merit, iteration + 1, CONVERGED
+            fell = 0.0  # the programme was solved roughly: once more, and precisely
+            continue
         trust = 2.0 * length * np.max(np.abs(step[:, :2])) if length < 1.0 else 2.0 * trust
         take(scene, inputs, step, length, inputs)
         roll_out(model, scene, inputs, poses)
