@@ -2,9 +2,11 @@
 
     python benchmarks/tracking.py [--json] [--repeats 15]
 
-Three things are timed, for 1, 20 and 100 tracks: one unscented update with its prediction to the next
-scan; the horizon of 30 steps with covariance, as `adcbf predict` makes it; and the same horizon by
-one unscented transform a step (what the coordinated turn needs). The plain side is filterpy's
+Four things are timed, for 1, 20 and 100 tracks: one unscented update with its prediction to the next
+scan; the horizon of 30 steps with covariance, as `adcbf predict` makes it; the whole stage of `adcbf
+predict`, which is that horizon, sigma radii, and conformal radii from the past, against the bare loop for
+the horizon; and the same horizon by one unscented transform a step (what the coordinated turn needs). The
+plain side is filterpy's
 UnscentedKalmanFilter in a Python loop. Figures are medians; both sides must agree first.
 """
 
@@ -20,14 +22,17 @@ from time import perf_counter
 import numpy as np
 from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from adcbf_cli.core.config import TrackingConfig
+from adcbf_cli.core.config import PredictionConfig, TrackingConfig
 from adcbf_cli.core.frames import wrap_angle
+from adcbf_cli.core.prediction.predictor import Predictor
 from adcbf_cli.core.prediction.propagation import Propagator
 from adcbf_cli.core.tracking.filters import BatchFilter
-from adcbf_cli.core.types import FloatArray, Notes
+from adcbf_cli.core.types import FloatArray, Notes, Tracks, TrackStatus
 
 STEPS, STEP_S = 30, 0.1
 TRACK_COUNTS = (1, 20, 100)
+SETTLED_FRAMES = 60
+"""From then on every frame meets predictions of the whole horizon."""
 
 
 def scene(n: int, dimension: int) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -137,6 +142,47 @@ def horizon_case(n: int, model: str, repeats: int) -> tuple[float, float]:
     return median_ms(batched, 3 * repeats), median_ms(plain, max(repeats // 3, 3))
 
 
+def moving_tracks(n: int, frame: int) -> Tracks:
+    """A frame of n tracks, every fourth of which stands, seen again and again with other velocities."""
+    rng = np.random.default_rng(frame)
+    states, covariances, _ = scene(n, 6)
+    states[:, 3:5] += rng.normal(0, 0.2, (n, 2))
+    ones = np.ones(n)
+    return Tracks(
+        frame_index=frame,
+        stamp_ns=round(frame * STEP_S * 1e9),
+        world_from_sensor=np.eye(4),
+        model="cv",
+        track_id=np.arange(n),
+        status=np.full(n, TrackStatus.CONFIRMED),
+        state=states,
+        covariance=covariances,
+        radius_m=0.3 * ones,
+        height_m=ones,
+        is_static=np.arange(n) % 4 == 3,
+        cluster_id=np.arange(n),
+        age_s=ones,
+        hits=np.full(n, 9),
+        misses=np.zeros(n, dtype=np.int64),
+        nis=ones,
+        manoeuvre=0.5 * ones,
+    )
+
+
+def stage_case(n: int, repeats: int) -> tuple[float, float]:
+    """(batched, plain) ms a frame for the stage with its calibration, and for the bare horizon in a loop."""
+    config = TrackingConfig(cruise_ratio=1.0)
+    predictor = Predictor(PredictionConfig(steps=STEPS, step_s=STEP_S), config, Notes())
+    spent = []
+    for frame in range(SETTLED_FRAMES + 3 * repeats):
+        tracks = moving_tracks(n, frame)
+        start = perf_counter()
+        predictor(tracks)
+        spent.append(perf_counter() - start)
+    _, plain_ms = horizon_case(n, "cv", repeats)
+    return 1e3 * float(np.median(spent[SETTLED_FRAMES:])), plain_ms
+
+
 def require_agreement(batched: FloatArray, plain: FloatArray) -> None:
     worst = float(np.abs(batched - plain).max())
     if worst > 1e-5:
@@ -153,6 +199,7 @@ def main() -> None:
         cases = {
             "update": update_case(n, arguments.repeats),
             "horizon_cv": horizon_case(n, "cv", arguments.repeats),
+            "stage": stage_case(n, arguments.repeats),
             "horizon_ct": horizon_case(n, "ct", arguments.repeats),
         }
         for name, (batched, plain) in cases.items():
