@@ -14,7 +14,7 @@ answered the episode before has lasted until then.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -80,15 +80,14 @@ def answers(evidence: Evidence, departs: Callable[[Drive, slice, slice], BoolArr
     fallback = fell_back(evidence, drive.steps)
     last = len(elapsed_s) - (drive.result is Result.COLLISION)  # an answer at the collision is none
     found: list[float | None] = []
-    avoiding: Episode | None = None  # answered, and lasting up to the last that found it still going on
+    newest: Episode | None = None  # of those that were judged by the calm before them
     for episode in episodes(drive.steps.conflict, elapsed_s):
-        if avoiding and departs(drive, avoiding.before, slice(avoiding.last, episode.first + 1)).all():
-            avoiding = replace(avoiding, last=episode.last)
+        if newest and departs(drive, newest.before, slice(newest.last, episode.first + 1)).all():
             found.append(0.0)
             continue
         now = slice(episode.first, min(episode.last + 1, last))
         begun = np.flatnonzero(departs(drive, episode.before, now) | fallback[now])
-        avoiding = episode if begun.size else None
+        newest = episode
         found.append(float(elapsed_s[episode.first + begun[0]] - elapsed_s[episode.first]) if begun.size else None)
     return found
 
