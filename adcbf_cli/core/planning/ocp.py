@@ -185,7 +185,7 @@ def barriers(problem: Problem, stage: Stage) -> Rows:
 
 COSTS: tuple[CostTerm, ...] = (tracking, speed, turn, smoothness, slack, decay)
 CONSTRAINTS: tuple[ConstraintTerm, ...] = (rates, barriers)
-"""`barriers` last: the rows of unused slots, which an instance frees, are then a stage's last."""
+"""`barriers` last: the rows of unused slots, which an instance loosens, are then a stage's last."""
 
 
 # --- the problem -------------------------------------------------------------------------------------

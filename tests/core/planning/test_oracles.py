@@ -169,12 +169,16 @@ def test_what_is_not_finite_fails_and_nothing_is_raised(oracle: type[IpoptSolver
 
 @both
 def test_nothing_is_remembered_between_solves(oracle: type[IpoptSolver]) -> None:
-    problem = problem_of(BARRIERS["adaptive"])
-    solver, guess = oracle(problem), cruising(problem)
-    first = solver.solve(random_instance(problem, 340), guess)
-    solver.solve(random_instance(problem, 341), guess)
-    again = solver.solve(random_instance(problem, 340), guess)
-    np.testing.assert_array_equal(first.inputs, again.inputs)
+    """Numbers of obstacles within one bucket, and last inputs in and out of bounds, in turn: each plan is
+    that of a new solver."""
+    problem = problem_of(BARRIERS["optimal decay"])
+    used, guess = oracle(problem), cruising(problem)
+    for seed, (obstacles, speed) in enumerate([(1, 0.5), (4, 1.3), (2, 0.9), (3, 1.03), (4, 0.2), (1, -0.01)]):
+        instance = random_instance(problem, 340 + seed, obstacles)
+        instance = dataclasses.replace(instance, last_inputs=np.array([speed, 0.1]))
+        again, fresh = used.solve(instance, guess), oracle(problem).solve(instance, guess)
+        assert again.status is fresh.status is SolverStatus.CONVERGED
+        np.testing.assert_array_equal(again.inputs, fresh.inputs)
 
 
 @both
@@ -184,6 +188,38 @@ def test_on_an_obstacles_centre_it_still_answers(oracle: type[IpoptSolver]) -> N
     found = oracle(problem).solve(instance, np.zeros((problem.steps, 2)))
     assert found.status is not SolverStatus.FAILED
     assert np.isfinite(found.merit)
+
+
+@both
+def test_one_solver_takes_any_number_of_obstacles_in_silence(
+    oracle: type[IpoptSolver], capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A program for each bucket; with one obstacle more, far behind, the plan stays the same."""
+    problem = problem_of(BARRIERS["optimal decay"], steps=10)
+    solver, guess = oracle(problem), cruising(problem)
+    near = [(1.8, 0.3, 0, 0, 0.3), (2.5, -0.8, 0, 0.1, 0.2), (3.0, 1.0, 0, 0, 0.3), (1.5, -1.6, 0, 0, 0.3)]
+    merits = []
+    for behind in range(6):
+        far = [(-30.0 - i, 0.0, 0.0, 0.0, 0.2) for i in range(behind)]
+        found = solver.solve(instance_of(problem, near + far), guess)
+        assert found.status is SolverStatus.CONVERGED
+        merits.append(found.merit)
+    np.testing.assert_allclose(merits, merits[0], rtol=1e-6)
+    printed = capfd.readouterr()
+    assert printed.out == ""
+    assert printed.err == ""
+
+
+@both
+@pytest.mark.parametrize("steps", [2, 3, 40])
+def test_any_horizon(oracle: type[IpoptSolver], steps: int) -> None:
+    """Also with more barrier stages asked for than there are stages."""
+    problem = problem_of(Barrier(FixedGamma(0.2), steps=30), steps=steps)
+    instance = instance_of(problem, [(1.2, 0.1, 0, 0, 0.3)])
+    found = oracle(problem).solve(instance, cruising(problem))
+    assert found.status is SolverStatus.CONVERGED
+    assert found.inputs.shape == (steps, 2)
+    assert found.merit < merit(problem, instance, cruising(problem))
 
 
 def test_solvers_are_found_by_name() -> None:

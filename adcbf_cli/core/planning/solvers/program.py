@@ -14,7 +14,10 @@ from adcbf_cli.core.planning.problem import Instance, Problem, Solution, SolverS
 from adcbf_cli.core.types import FloatArray
 
 DUMMY_OFFSET_M = 20.0
-"""Unused slots hold an obstacle this far from the pose, whose rows have no bound."""
+"""Unused slots hold a point this far from the pose, whose rows are bound too loosely to matter."""
+
+NARROWEST = 1e-6
+"""Where only one input can be reached, the program has this much room: interior points need some."""
 
 
 class ProgramSolver(ABC):
@@ -89,8 +92,8 @@ def parameters(ocp: Ocp, instance: Instance) -> FloatArray:
     unused, stages = ocp.slots - len(instance), ocp.problem.steps + 1
     dummy = np.tile(instance.pose[:2] + np.array([DUMMY_OFFSET_M, 0.0]), (unused, stages, 1))
     obstacle = np.concatenate([instance.obstacle_m, dummy])
-    radius = np.concatenate([instance.obstacle_radius_m, np.ones(unused)])
-    keep_out = np.concatenate([instance.keep_out_m, np.ones((unused, stages))])
+    radius = np.concatenate([instance.obstacle_radius_m, np.zeros(unused)])
+    keep_out = np.concatenate([instance.keep_out_m, np.zeros((unused, stages))])
     parts = [instance.pose, instance.last_inputs, instance.reference.T, obstacle[..., 0], obstacle[..., 1]]
     parts += [keep_out, radius]
     if ocp.problem.barrier.frozen and instance.gamma is not None:
@@ -99,11 +102,15 @@ def parameters(ocp: Ocp, instance: Instance) -> FloatArray:
 
 
 def bounds(ocp: Ocp, instance: Instance) -> dict[str, FloatArray]:
-    """lbx, ubx, lbg, ubg. Inputs out of bounds may stay there for as long as their rate needs to return."""
+    """lbx, ubx, lbg, ubg. Inputs out of bounds may stay there for as long as their rate needs to return.
+
+    Which bounds exist and which coincide never changes, as FATROP keeps that from its first solve.
+    """
     problem = ocp.problem
     lowest, highest = problem.vehicle.envelope(
         instance.last_inputs, problem.steps, problem.step_s, problem.first_step_s
     )
+    highest = np.maximum(highest, lowest + NARROWEST)
     lower, upper = [], []
     for k, count in enumerate(ocp.controls):
         lower.append(np.full(STATE, -np.inf))
@@ -115,19 +122,23 @@ def bounds(ocp: Ocp, instance: Instance) -> dict[str, FloatArray]:
     return {
         "lbx": np.concatenate(lower),
         "ubx": np.concatenate(upper),
-        "lbg": _without_unused(ocp, instance),
+        "lbg": _loosened(ocp, instance),
         "ubg": ocp.upper,
     }
 
 
-def _without_unused(ocp: Ocp, instance: Instance) -> FloatArray:
-    """g's lower bounds, the rows of unused slots freed: they are the last of each stage."""
-    freed = ocp.lower.copy()
+def _loosened(ocp: Ocp, instance: Instance) -> FloatArray:
+    """g's lower bounds; those of unused slots, the last rows of each stage, lower than any plan can come."""
+    problem = ocp.problem
+    stage_m = float(np.abs([problem.vehicle.input_min[0], problem.vehicle.input_max[0], instance.last_inputs[0]]).max())
+    stage_m *= problem.step_s
+    fall_m2 = 2 * (DUMMY_OFFSET_M + problem.steps * stage_m) * stage_m + stage_m**2
+    loosened = ocp.lower.copy()
     end = 0
-    for k in range(barrier_stages(ocp.problem)):
+    for k in range(barrier_stages(problem)):
         end += STATE + ocp.rows[k]
-        freed[end - (ocp.slots - len(instance)) : end] = -np.inf
-    return freed
+        loosened[end - (ocp.slots - len(instance)) : end] = -1.0 - fall_m2
+    return loosened
 
 
 def variables(ocp: Ocp, instance: Instance, inputs: FloatArray) -> FloatArray:
