@@ -277,13 +277,13 @@ class PlanningConfig(StageConfig):
     accept_invalid_barrier: bool = Field(
         False, description="Build a barrier that is no class-K function all the same, to see what it does."
     )
-    weight_position: NonNegative = Field(1.0, description="Tracking the reference, per m^2.")
-    weight_heading: NonNegative = Field(0.1, description="Per rad^2.")
-    weight_speed: NonNegative = Field(0.5, description="Per (m/s)^2.")
+    weight_position: NonNegative = Field(0.5, description="Tracking the reference, per m^2.")
+    weight_heading: NonNegative = Field(0.5, description="Per rad^2.")
+    weight_speed: NonNegative = Field(2.0, description="Per (m/s)^2.")
     weight_turn: NonNegative = Field(0.1, description="Turning, per (rad/s)^2 (Ackermann: rad^2).")
     weight_accel: NonNegative = Field(0.05, description="Smoothness, per (m/s^2)^2.")
-    weight_turn_accel: NonNegative = Field(0.05, description="Per (rad/s^2)^2 (Ackermann: (rad/s)^2).")
-    weight_terminal: NonNegative = Field(5.0, description="Factor on the last stage's position and heading.")
+    weight_turn_accel: NonNegative = Field(0.01, description="Per (rad/s^2)^2 (Ackermann: (rad/s)^2).")
+    weight_terminal: NonNegative = Field(20.0, description="Factor on the last stage's position and heading.")
 
 
 class ReplayConfig(StageConfig):
