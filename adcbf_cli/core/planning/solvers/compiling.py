@@ -17,8 +17,9 @@ from numba import njit
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract", "reassoc", "nsz", "arcp"}}
-"""Sums may be reordered, but NaN and infinity keep their meaning: they are how a failure is seen."""
+OPTIONS: dict[str, Any] = {"error_model": "numpy"}
+"""No fast mathematics: with it, a process that compiles and one that loads what is kept differ in the last
+bits, and it gains nothing here."""
 
 
 def compiled(function: Function) -> Function:
