@@ -22,6 +22,10 @@ OPTIONS: dict[str, Any] = {"error_model": "numpy"}
 bits, and it gains nothing here."""
 
 
+ENDLESS = 1e200
+"""What is not smaller than this is no number, or none to go on with."""
+
+
 def compiled(function: Function) -> Function:
     """Compiled when first called, not kept on disk."""
     result: Function = njit(**OPTIONS)(function)
