@@ -29,11 +29,12 @@ SLOW_MPS = 0.1
 
 MOUNT_TOLERANCE_RAD = 0.35
 """A sensor whose x axis differs from the direction of travel by more than this, steadily, is turned."""
-MOUNT_MIN_SPEED_MPS = 0.3
+MOUNT_MIN_SPEED_MPS = 0.15
 MOUNT_MIN_TRAVEL_M = 2.0
 MOUNT_CONCENTRATION = 0.9
-"""Steadily: the mean resultant length of the angle between the two, over at least MOUNT_MIN_TRAVEL_M
-driven faster than MOUNT_MIN_SPEED_MPS."""
+"""Steadily: the mean resultant length of the angle between the two, weighed by the way, over at least
+MOUNT_MIN_TRAVEL_M driven faster than MOUNT_MIN_SPEED_MPS. Slower, a sensor off the axle that the vehicle
+turns about moves sideways."""
 
 
 class Posed(Protocol):
@@ -168,11 +169,14 @@ def _mount_yaw(stamp_ns: IntArray, pose: FloatArray, slope: FloatArray) -> float
     """The sensor's yaw on the vehicle: how far its x axis is turned from the direction of travel."""
     speed = np.hypot(slope[:, 0], slope[:, 1])
     fast: BoolArray = speed > MOUNT_MIN_SPEED_MPS
-    step_s = np.minimum(np.gradient(stamp_ns.astype(float)) / 1e9, MAX_GAP_NS / 1e9) if len(stamp_ns) > 1 else 0.0
-    if float(np.sum(np.where(fast, speed, 0.0) * step_s)) < MOUNT_MIN_TRAVEL_M:
+    if not fast.any():
+        return 0.0
+    step_s = np.minimum(np.gradient((stamp_ns - stamp_ns[0]) / 1e9), MAX_GAP_NS / 1e9)
+    way_m = (speed * step_s)[fast]
+    if way_m.sum() < MOUNT_MIN_TRAVEL_M:
         return 0.0
     turned = pose[fast, 2] - np.arctan2(slope[fast, 1], slope[fast, 0])
-    mean = np.mean(np.exp(1j * turned))
+    mean = np.average(np.exp(1j * turned), weights=way_m)
     if np.abs(mean) < MOUNT_CONCENTRATION or np.abs(np.angle(mean)) <= MOUNT_TOLERANCE_RAD:
         return 0.0
     return float(wrap_angle(np.angle(mean)))

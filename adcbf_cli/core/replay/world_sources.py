@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,6 +20,12 @@ STANDING_SPREAD_M = 0.5
 """A labelled thing stands if it stays within this of where it first was, and is on the whole no faster
 than tracking.static_speed_mps. Labels made in the sensor's frame wander with the odometry."""
 
+MIN_RADIUS_M = 0.05
+"""Of a track's circle, however near the log's vehicle came to its centre."""
+
+CONTACT_M = 1e-3
+"""What the log's vehicle came nearest to is taken to have been this far from it."""
+
 ON_TRUTH_SHARE = 0.5
 """A track is a labelled thing if it matches one in more than this share of its sightings."""
 
@@ -30,22 +37,34 @@ def world_of(truth: Truth | None, tracks: Iterable[Tracks], config: Config) -> t
     the standing tracks that are none of the labelled things (all such tracks, if truth labels a single
     object only). Without truth, the smoothed tracks. Ids of tracks that join labelled things are moved
     up past the labels' ids.
+
+    The log's vehicle, a circle of vehicle.body_radius_m, did not collide: where a track's circle reaches
+    into its place, the circle is too wide for the thing, and is trimmed.
     """
     max_gap_s = config.evaluation.max_gap_s
     if truth is not None and _has_scenery(truth, config):
         samples, standing = truth_samples(truth, config)
         return RecordedWorld(samples, max_gap_s, standing), f"ground truth ({truth.source}), scenery included"
-    smooth = [t for t in smooth_tracks(tracks, config.tracking) if not _is_own_body(t, config.vehicle.body_radius_m)]
+    records = list(tracks)
+    driven_m = np.array([record.world_from_sensor[:2, 3] for record in records]).reshape(-1, 2)
+    smooth = [t for t in smooth_tracks(records, config.tracking) if not _is_own_body(t, config.vehicle.body_radius_m)]
+    rooms = [_room(t, driven_m, config.vehicle.body_radius_m) for t in smooth]
     if truth is None:
-        samples, standing = track_samples(smooth, config)
-        return RecordedWorld(samples, max_gap_s, standing), "the log's own tracks, smoothed"
+        samples, standing = track_samples(smooth, rooms)
+        trimmed = sum(bool((t.radius_m > room.radius_m).any()) for t, room in zip(smooth, rooms, strict=True))
+        said = f"; {trimmed} of {len(smooth)} trimmed to leave the log's vehicle its place" if trimmed else ""
+        return RecordedWorld(samples, max_gap_s, standing), "the log's own tracks, smoothed" + said
     samples, standing = truth_samples(truth, config)
     labelled = RecordedWorld(samples, max_gap_s, standing)
     exhaustive = truth.exhaustive if config.evaluation.truth_exhaustive is None else config.evaluation.truth_exhaustive
     more = [
-        t for t in smooth if (not exhaustive or stands(t)) and not _is_labelled(t, labelled, config.evaluation.match_m)
+        i
+        for i, t in enumerate(smooth)
+        if (not exhaustive or stands(t)) and not _is_labelled(t, labelled, config.evaluation.match_m)
     ]
-    added, added_standing = track_samples(more, config, first_id=int(samples.id.max(initial=-1)) + 1)
+    added, added_standing = track_samples(
+        [smooth[i] for i in more], [rooms[i] for i in more], first_id=int(samples.id.max(initial=-1)) + 1
+    )
     world = RecordedWorld(
         Samples.joined([samples, added]), max_gap_s, np.concatenate([standing, added_standing]).astype(np.int64)
     )
@@ -78,11 +97,19 @@ def truth_samples(truth: Truth, config: Config) -> tuple[Samples, IntArray]:
     return samples, np.array(standing, dtype=np.int64)
 
 
-def track_samples(tracks: list[SmoothTrack], config: Config, first_id: int = 0) -> tuple[Samples, IntArray]:
+@dataclass(frozen=True, slots=True)
+class Room:
+    """What the log's vehicle left a track: the largest radius, and whether it can stand there for good."""
+
+    radius_m: float
+    for_good: bool
+
+
+def track_samples(tracks: list[SmoothTrack], rooms: list[Room], first_id: int = 0) -> tuple[Samples, IntArray]:
     """Smoothed tracks as samples of circles, and the ids of those that stand for good.
 
     A track that stood when it was last seen stands for good, unless the log's own vehicle drove over
-    its place: then something was there for as long as it was seen only.
+    its place: then something was there for as long as it was seen only. Circles are trimmed (`world_of`).
     """
     if not tracks:
         none = np.zeros(0, dtype=np.int64)
@@ -91,24 +118,26 @@ def track_samples(tracks: list[SmoothTrack], config: Config, first_id: int = 0) 
         np.concatenate([np.full(len(t.stamp_ns), first_id + t.track_id) for t in tracks]),
         np.concatenate([t.stamp_ns for t in tracks]),
         np.concatenate([t.position_m for t in tracks]),
-        np.concatenate([t.radius_m for t in tracks]),
+        np.concatenate([np.minimum(t.radius_m, room.radius_m) for t, room in zip(tracks, rooms, strict=True)]),
         velocity_mps=np.concatenate([np.where(t.is_static[:, None], 0.0, t.velocity_mps) for t in tracks]),
     )
-    driven = np.unique(np.concatenate([t.sensor_m for t in tracks]).round(2), axis=0)
-    body = config.vehicle.body_radius_m
-    standing = [first_id + t.track_id for t in tracks if stands(t) and not _driven_over(t, driven, body)]
+    standing = [first_id + t.track_id for t, room in zip(tracks, rooms, strict=True) if room.for_good]
     return samples, np.array(standing, dtype=np.int64)
+
+
+def _room(track: SmoothTrack, driven_m: FloatArray, body_radius_m: float) -> Room:
+    """driven_m: (q, 2) where the log's vehicle was at any time."""
+    taken_m = body_radius_m + CONTACT_M
+    while_seen = float(np.hypot(*(track.position_m - track.sensor_m).T).min()) - taken_m
+    ends = driven_m[:, None] - track.position_m[[0, -1]]
+    always = float(np.hypot(ends[..., 0], ends[..., 1]).min()) - taken_m
+    for_good = stands(track) and always >= MIN_RADIUS_M
+    return Room(max(min(while_seen, always) if for_good else while_seen, MIN_RADIUS_M), for_good)
 
 
 def stands(track: SmoothTrack) -> bool:
     """Whether it stood when it was last seen, and for most of the time before."""
     return bool(track.is_static[-1]) and float(np.mean(track.is_static)) > 0.5
-
-
-def _driven_over(track: SmoothTrack, driven_m: FloatArray, body_radius_m: float) -> bool:
-    """Whether the log's vehicle ever had the track's centre within its body."""
-    offset = driven_m - track.position_m[-1]
-    return bool((np.hypot(offset[:, 0], offset[:, 1]) < body_radius_m).any())
 
 
 def _is_own_body(track: SmoothTrack, body_radius_m: float) -> bool:

@@ -104,6 +104,20 @@ def test_where_the_vehicle_drove_nothing_stands_for_good() -> None:
     assert world.at(100 * STEP_NS).id.tolist() == [2]
 
 
+def test_circles_leave_the_logs_vehicle_its_place() -> None:
+    """Circles of 0.4 m at 0.5 m and 2 m from a vehicle of 0.3 m that stands: the nearer has 0.2 m at most."""
+    world, said = world_of(None, tracks({1: (0.5, 0.0), 2: (0.0, 2.0)}), CONFIG)
+    assert said == "the log's own tracks, smoothed; 1 of 2 trimmed to leave the log's vehicle its place"
+    np.testing.assert_allclose(world.at(0).radius_m, [0.199, 0.4], atol=1e-6)
+    assert world.nearest(np.zeros(2), 0.3, 0)[0] == pytest.approx(0.001)
+
+
+def test_a_moving_circle_is_trimmed_where_it_was_seen_near() -> None:
+    """It moves away from 0.5 m on; that it was small then holds later."""
+    world, _ = world_of(None, tracks({1: (0.5, 0.0)}, still=False), CONFIG)
+    np.testing.assert_allclose(world.at(10 * STEP_NS).radius_m, [0.199], atol=1e-6)
+
+
 def test_the_vehicles_own_body_is_not_there() -> None:
     """A track that always stays at the sensor's side."""
     seen = tracks({1: (0.2, 0.0), 2: (0.0, 5.0)}, still=False, velocity=(1.0, 0.0))
