@@ -76,6 +76,8 @@ def missed(thresholds: Iterable[Threshold], report: Report) -> list[str]:
 
 
 def _why(threshold: Threshold, report: Report) -> str:
+    if threshold.metric.startswith(("plan.", "replay.")):
+        return "no drive has a value" if threshold.metric in report.metrics else "there is no such drive"
     if report.basis.get("truth") is None and not threshold.metric.startswith(("later_seen", "tracks", "clusters")):
         return "no ground truth was given"
     if threshold.metric not in report.metrics:

@@ -197,6 +197,8 @@ def test_what_was_not_measured_cannot_pass() -> None:
         assert "not measured" in line
     (line,) = missed([parse_threshold("prediction.rmse_x_m>1")], Report(basis={"truth": None}))
     assert "no ground truth" in line
+    (line,) = missed([parse_threshold("replay.dwa.nav_time_s>1")], Report(basis={"truth": None}))
+    assert "no such drive" in line
 
 
 @pytest.mark.parametrize("text", ["", "a.b", "a.b=1", "a.b>x", "a.b>nan", ">1", "a.b>1>2"])
