@@ -25,7 +25,7 @@ to them by the definition, with a low probability, and one of them can double an
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -76,8 +76,7 @@ def hdbscan(
     if min_gap_m > 0:
         selected = _lift_to_gap(tree, selected, min_gap_m)
     grouping = _label(tree, selected)
-    left_at = np.array(tree.point_lambda)
-    stray = (grouping.probability < min_probability) & (left_at * max(min_gap_m, SMALLEST_DISTANCE_M) < 1.0)
+    stray = (grouping.probability < min_probability) & (tree.point_lambda * max(min_gap_m, SMALLEST_DISTANCE_M) < 1.0)
     return Grouping(np.where(stray, NO_ID, grouping.label), np.where(stray, 0.0, grouping.probability))
 
 
@@ -137,9 +136,7 @@ def _distance(points_m: FloatArray, first: IntArray, second: IntArray) -> FloatA
     return distance
 
 
-def _spanning_forest(
-    points_m: FloatArray, min_samples: int, max_gap_m: float
-) -> tuple[list[int], list[int], FloatArray]:
+def _spanning_forest(points_m: FloatArray, min_samples: int, max_gap_m: float) -> tuple[IntArray, IntArray, FloatArray]:
     """The minimum spanning forest's edges by rising mutual reachability distance, all <= max_gap_m.
 
     Kruskal's order in two steps: the forest of the short edges first, whose components then leave
@@ -169,7 +166,7 @@ def _spanning_forest(
         _, component = connected_components(kept, directed=False)
     first, second, weight = kept.row, kept.col, kept.data
     order = np.lexsort((second, first, weight))
-    return first[order].tolist(), second[order].tolist(), weight[order]
+    return first[order], second[order], weight[order]
 
 
 @dataclass(slots=True)
@@ -181,116 +178,36 @@ class _CondensedTree:
     size: points. point_cluster, point_lambda: the smallest cluster of each point, and when it left.
     """
 
-    point_cluster: list[int]
-    point_lambda: list[float]
-    parent: list[int] = field(default_factory=list)
-    birth: list[float] = field(default_factory=list)
-    death: list[float] = field(default_factory=list)
-    mass: list[float] = field(default_factory=list)
-    size: list[int] = field(default_factory=list)
-
-    def grow(self, size: int, density: float, root_birth: float) -> int:
-        """A new cluster of `size` points, all of which leave it at `density`."""
-        self.parent.append(NO_ID)
-        self.birth.append(root_birth)
-        self.death.append(density)
-        self.mass.append(size * density)
-        self.size.append(size)
-        return len(self.parent) - 1
+    point_cluster: IntArray
+    point_lambda: FloatArray
+    parent: list[int]
+    birth: list[float]
+    death: list[float]
+    mass: list[float]
+    size: list[int]
 
     def stability(self, cluster: int) -> float:
         """Excess of mass: the sum over its points of lambda as they leave minus lambda at birth."""
         return self.mass[cluster] - self.birth[cluster] * self.size[cluster]
 
 
-class _Groups:
-    """The points joined so far, as disjoint sets named by one of their points, the top. A set has its
-    cluster, or, while it is smaller than a cluster, its points."""
-
-    def __init__(self, n: int) -> None:
-        self.up = list(range(n))
-        self.cluster = [NO_ID] * n
-        self._members: dict[int, list[int]] = {}
-
-    def top(self, point: int) -> int:
-        up = self.up
-        while up[point] != point:
-            up[point] = up[up[point]]
-            point = up[point]
-        return point
-
-    def members(self, top: int) -> list[int]:
-        return self._members.get(top) or [top]
-
-    def keep_loose(self, top: int, members: list[int]) -> None:
-        self._members[top] = members
-
-
 def _condense(
-    n: int, first: list[int], second: list[int], density: FloatArray, min_cluster_size: int, root_birth: float
+    n: int, first: IntArray, second: IntArray, density: FloatArray, min_cluster_size: int, root_birth: float
 ) -> _CondensedTree:
-    """Condense the forest bottom up: join along its edges, the densest first, and note each time that
-    groups of at least `min_cluster_size` points meet. It equals the usual top-down reading.
+    """The tree of a forest's edges, by falling density."""
+    from adcbf_cli.core.perception.condensing import condense
 
-    Mutual reachability distances tie often (one point's core distance is the weight of several
-    edges). All groups that meet at one density meet at once, so that neither the points' order nor
-    the choice among equal spanning trees changes the result.
-    """
-    tree = _CondensedTree([NO_ID] * n, [0.0] * n)
-    groups = _Groups(n)
-    begins = np.flatnonzero(np.diff(density, prepend=np.inf)).tolist()
-    for start, stop in zip(begins, [*begins[1:], len(density)], strict=True):
-        at = float(density[start])
-        if stop == start + 1:
-            _meet(tree, groups, [groups.top(first[start]), groups.top(second[start])], at, min_cluster_size, root_birth)
-            continue
-        for meeting in _meetings(groups, first[start:stop], second[start:stop]):
-            _meet(tree, groups, meeting, at, min_cluster_size, root_birth)
-    return tree
-
-
-def _meetings(groups: _Groups, first: list[int], second: list[int]) -> list[list[int]]:
-    """The groups that these edges of one density join, each as the list of tops that become one."""
-    meeting_of: dict[int, list[int]] = {}
-    for a, b in zip(first, second, strict=True):
-        one, other = groups.top(a), groups.top(b)
-        meeting = meeting_of.get(one, [one])
-        meeting += meeting_of.get(other, [other])
-        for top in meeting:
-            meeting_of[top] = meeting
-    return list({id(meeting): meeting for meeting in meeting_of.values()}.values())
-
-
-def _meet(
-    tree: _CondensedTree, groups: _Groups, tops: list[int], at: float, min_cluster_size: int, root_birth: float
-) -> None:
-    """Groups become one at density `at`: two clusters or more a new one, a single cluster gains the
-    rest, and small groups stay small or are a cluster's first points."""
-    clusters: list[int] = []
-    loose: list[int] = []
-    top = tops[0]
-    for each in tops:
-        groups.up[each] = top
-        if groups.cluster[each] == NO_ID:
-            loose += groups.members(each)
-        else:
-            clusters.append(groups.cluster[each])
-    if len(clusters) == 1:
-        cluster = clusters[0]
-        tree.size[cluster] += len(loose)
-        tree.mass[cluster] += len(loose) * at
-    elif clusters or len(loose) >= min_cluster_size:
-        cluster = tree.grow(len(loose) + sum(tree.size[child] for child in clusters), at, root_birth)
-        for child in clusters:
-            tree.parent[child] = cluster
-            tree.birth[child] = at
-    else:
-        groups.keep_loose(top, loose)
-        return
-    groups.cluster[top] = cluster
-    for point in loose:
-        tree.point_cluster[point] = cluster
-        tree.point_lambda[point] = at
+    found = condense(first, second, density, n, min_cluster_size)
+    birth = np.where(found.parent == NO_ID, root_birth, found.death[found.parent])
+    return _CondensedTree(
+        point_cluster=found.point_cluster,
+        point_lambda=found.point_density,
+        parent=found.parent.tolist(),
+        birth=birth.tolist(),
+        death=found.death.tolist(),
+        mass=found.mass.tolist(),
+        size=found.size.tolist(),
+    )
 
 
 def _most_stable(tree: _CondensedTree) -> list[bool]:
@@ -332,10 +249,9 @@ def _label(tree: _CondensedTree, selected: list[bool]) -> Grouping:
     owner = np.full(count + 1, NO_ID, dtype=np.int64)
     for cluster in reversed(range(count)):
         owner[cluster] = cluster if selected[cluster] else owner[tree.parent[cluster]]
-    point_cluster = np.array(tree.point_cluster, dtype=np.int64)
-    taken_by = owner[point_cluster]
+    taken_by = owner[tree.point_cluster]
     death = np.array([*tree.death, 1.0])[taken_by]
-    probability = np.minimum(np.array(tree.point_lambda) / death, 1.0)
+    probability = np.minimum(tree.point_lambda / death, 1.0)
     return Grouping(_in_order_of_appearance(taken_by), np.where(taken_by == NO_ID, 0.0, probability))
 
 
