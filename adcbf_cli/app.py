@@ -15,15 +15,18 @@ import adcbf_cli
 from adcbf_cli.commands import cluster, config, evaluate, info, plan, predict, replay, run, simulate, track
 from adcbf_cli.core.errors import EXIT_FAILED, AdcbfError
 
+EXIT_INTERRUPTED = 128 + signal.SIGINT
+
 app = typer.Typer(
     name="adcbf",
     no_args_is_help=True,
     rich_markup_mode=None,  # rich would double the time that --help takes
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    help="""Recorded robot logs in, obstacles out: what the LiDAR saw, where it was going, how sure that is.
+    help="""Recorded robot logs in, answers out: what the LiDAR saw, where it was going, and whether a planner would
+have kept clear of it.
 
-A log is an MCAP file, a ROS 1 bag, a rosbag2 folder or a folder of PCD scans. Results go to a run
+A log is an MCAP file, a ROS 1 bag, a rosbag2 folder, a folder of PCD scans, or a CSV of objects. Results go to a run
 folder of Parquet tables; numbers go to stdout, everything else to stderr.
 
 Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done but part of the input was lost, 4 done but a
@@ -63,6 +66,12 @@ def main() -> None:
     except AdcbfError as error:
         print(f"adcbf: error: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
+    except SystemError as error:
+        # A signal that arrives inside compiled code comes out wrapped.
+        stop = error.__cause__ or error.__context__
+        if isinstance(stop, SystemExit | KeyboardInterrupt):
+            sys.exit(stop.code if isinstance(stop, SystemExit) else EXIT_INTERRUPTED)
+        raise
     except BrokenPipeError:
         # The reader of our output (head, less) has gone: nothing is wrong, and nobody listens.
         sys.stderr.close()
