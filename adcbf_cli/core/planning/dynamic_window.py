@@ -44,9 +44,9 @@ class DynamicWindow:
     def plan(self, situation: Situation) -> Plan:
         vehicle, planning = self._vehicle, self._planning
         first_s = 1.0 / planning.rate_hz
-        along_m = self._progress.along_m(situation.path, situation.pose)
+        path, along_m = self._progress.way(situation.path, situation.pose)
         steps, step_s = planning.steps, planning.step_s
-        reference = pursuit.horizon(vehicle, situation.path, along_m, situation.pose, steps, step_s)
+        reference = pursuit.horizon(vehicle, path, along_m, situation.pose, steps, step_s)
         arcs = self._arcs(situation.inputs)
         poses = roll_outs(vehicle, situation.pose, arcs, step_s)
         for i in np.argsort(self._costs(situation, reference, arcs, poses), kind="stable"):

@@ -95,9 +95,9 @@ class MpcPlanner:
 
     def _scene(self, situation: Situation) -> _Scene:
         problem, planning, pose = self._problem, self._planning, situation.pose
-        along_m = self._progress.along_m(situation.path, pose)
-        reference = pursuit.horizon(problem.vehicle, situation.path, along_m, pose, problem.steps, problem.step_s)
-        followed, aims = starts.follow(problem, situation.path, reference, along_m, pose, situation.inputs)
+        path, along_m = self._progress.way(situation.path, pose)
+        reference = pursuit.horizon(problem.vehicle, path, along_m, pose, problem.steps, problem.step_s)
+        followed, aims = starts.follow(problem, path, reference, along_m, pose, situation.inputs)
         keep_m = problem.vehicle.body_radius_m + planning.safety_distance_m
         known = columns_of(situation.obstacles, self._obstacle_set, keep_m, planning.uncertainty != "none")
         poses = problem.vehicle.roll_out(pose, followed, problem.step_s)

@@ -41,10 +41,10 @@ class PotentialField:
     def plan(self, situation: Situation) -> Plan:
         planning, vehicle = self._planning, self._vehicle
         first_s = 1.0 / planning.rate_hz
-        along_m = self._progress.along_m(situation.path, situation.pose)
-        reference = pursuit.horizon(vehicle, situation.path, along_m, situation.pose, 1, planning.step_s)
-        ahead = along_m + pursuit.look_ahead_m(situation.path)
-        aim = pursuit.beyond(situation.path, np.array([ahead]))[0, :2]
+        path, along_m = self._progress.way(situation.path, situation.pose)
+        reference = pursuit.horizon(vehicle, path, along_m, situation.pose, 1, planning.step_s)
+        ahead = along_m + pursuit.look_ahead_m(path)
+        aim = pursuit.beyond(path, np.array([ahead]))[0, :2]
         force = self._force(situation, aim)
         if math.hypot(*force) < MIN_FORCE:
             return fallback.braking(vehicle, situation, planning.steps, planning.step_s, first_s)

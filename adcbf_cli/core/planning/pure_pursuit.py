@@ -11,6 +11,7 @@ from adcbf_cli.core.config import PlanningConfig
 from adcbf_cli.core.planning import pursuit
 from adcbf_cli.core.planning.fallback import STANDING_MPS, required_m, surface_m
 from adcbf_cli.core.planning.planner import Outcome, Plan, Situation
+from adcbf_cli.core.planning.reference import ReferencePath
 from adcbf_cli.core.types import FloatArray
 from adcbf_cli.core.vehicles.vehicle import Vehicle
 
@@ -33,23 +34,23 @@ class PurePursuit:
 
     def plan(self, situation: Situation) -> Plan:
         vehicle, step_s = self._vehicle, self._planning.step_s
-        along_m = self._progress.along_m(situation.path, situation.pose)
+        path, along_m = self._progress.way(situation.path, situation.pose)
         steps = self._planning.steps
-        reference = pursuit.horizon(vehicle, situation.path, along_m, situation.pose, steps, step_s)
-        inputs = self._follow(situation, along_m, reference[1:, 3])
+        reference = pursuit.horizon(vehicle, path, along_m, situation.pose, steps, step_s)
+        inputs = self._follow(situation, path, along_m, reference[1:, 3])
         poses = vehicle.roll_out(situation.pose, inputs, step_s)
         free_m = self._free_m(situation, poses)
         if not np.isfinite(free_m):
             return Plan(Outcome.SOLVED, inputs, poses, None)
-        careful = self._follow(situation, along_m, np.minimum(reference[1:, 3], self._stopping(free_m)))
+        careful = self._follow(situation, path, along_m, np.minimum(reference[1:, 3], self._stopping(free_m)))
         slower = bool(careful[0, 0] < inputs[0, 0])
         poses = vehicle.roll_out(situation.pose, careful, step_s)
         return Plan(self._outcome(situation, slower), careful, poses, None)
 
-    def _follow(self, situation: Situation, along_m: float, speeds_mps: FloatArray) -> FloatArray:
+    def _follow(self, situation: Situation, path: ReferencePath, along_m: float, speeds_mps: FloatArray) -> FloatArray:
         step_s = self._planning.step_s
         at_m = along_m + np.concatenate([[0.0], np.cumsum(speeds_mps[:-1]) * step_s])
-        aims = pursuit.beyond(situation.path, at_m + pursuit.look_ahead_m(situation.path))
+        aims = pursuit.beyond(path, at_m + pursuit.look_ahead_m(path))
         first_s = 1.0 / self._planning.rate_hz
         return pursuit.pursue(self._vehicle, situation.pose, situation.inputs, aims[:, :2], speeds_mps, step_s, first_s)
 

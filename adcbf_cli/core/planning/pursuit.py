@@ -22,6 +22,10 @@ GENTLE = 0.5
 leaves something in hand."""
 
 
+MISSED_M = 0.15
+"""Farther off the path than this, and than what is left of it, the vehicle heads for the goal itself."""
+
+
 class Progress:
     """The arc length reached on a path; found near the last one, so that a path that crosses itself is
     not short-cut. A new path starts anew."""
@@ -30,11 +34,19 @@ class Progress:
         self._path: ReferencePath | None = None
         self._along_m: float | None = None
 
-    def along_m(self, path: ReferencePath, pose: FloatArray) -> float:
+    def way(self, path: ReferencePath, pose: FloatArray) -> tuple[ReferencePath, float]:
+        """What to follow from `pose` (3,) on, and the arc length on it.
+
+        That is the path, but for its end: a vehicle that had to pass it by would stand beside the goal,
+        where the path asks it to stand. There the straight line to the goal takes the path's place.
+        """
         if path is not self._path:
             self._path, self._along_m = path, None
         self._along_m = path.nearest(pose[:2], self._along_m)
-        return self._along_m
+        off = path.at(np.array([self._along_m]))[0, :2] - pose[:2]
+        if math.hypot(*off) > max(MISSED_M, path.length_m - self._along_m):
+            return ReferencePath(np.stack([pose[:2], path.goal_m]), path.speed_mps), 0.0
+        return path, self._along_m
 
 
 def horizon(
