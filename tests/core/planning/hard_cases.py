@@ -31,7 +31,7 @@ class Case:
     path: list[tuple[float, float]] = field(default_factory=lambda: [(0.0, 0.0), (9.0, 0.0)])
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
     speed_mps: float = 0.0
-    duration_s: float = 40.0
+    duration_s: float = 30.0
 
     @property
     def is_static(self) -> bool:
@@ -91,7 +91,7 @@ def known(discs: FloatArray, time_s: float, steps: int, step_s: float) -> Obstac
 
 
 def drive(case: Case, planner: Planner, vehicle: Vehicle, planning: PlanningConfig) -> Course:
-    """Drive until the goal, a collision, or the case's duration."""
+    """Drive until the goal, a collision, the case's duration, or where nothing moves any more."""
     discs = np.asarray(case.discs, dtype=float).reshape(-1, 5)
     path = ReferencePath(np.asarray(case.path), min(0.75, float(vehicle.input_max[0])))
     period_s = 1.0 / planning.rate_hz
@@ -113,11 +113,17 @@ def drive(case: Case, planner: Planner, vehicle: Vehicle, planning: PlanningConf
         starts.append(plan.details.start if plan.details else "")
         pose = vehicle.step(pose, inputs, period_s)
         arrived = bool(np.hypot(*(pose[:2] - path.goal_m)) < GOAL_TOLERANCE_M)
-        if arrived or clearance[-1] < 0:
+        if arrived or clearance[-1] < 0 or (case.is_static and stands(poses, planning.rate_hz)):
             break
     return Course(
         np.array(poses), np.array(applied), np.array(clearance), outcomes, starts, np.array(plan_ms), arrived, period_s
     )
+
+
+def stands(poses: list[FloatArray], rate_hz: float, for_s: float = 4.0) -> bool:
+    """Whether the vehicle has not moved for so long."""
+    ticks = round(for_s * rate_hz)
+    return len(poses) > ticks and float(np.abs(poses[-1] - poses[-1 - ticks]).max()) < 5e-3
 
 
 def check(inputs: FloatArray, last: FloatArray, vehicle: Vehicle, planning: PlanningConfig) -> None:
