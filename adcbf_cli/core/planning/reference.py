@@ -12,6 +12,11 @@ from adcbf_cli.core.types import FloatArray
 MIN_SPACING_M = 0.02
 """Closer points of a recorded path are noise of the pose, and would turn the tangent at random."""
 
+WINDOW_M = 0.5
+WINDOW_S = 0.5
+"""Progress is looked for this far around the last one: several ticks' way, and less than from one
+branch of a path to another that passes near it."""
+
 
 class ReferencePath:
     """A polyline in the world, by arc length.
@@ -44,9 +49,11 @@ class ReferencePath:
         goal: FloatArray = self.points_m[-1]
         return goal
 
-    def nearest(self, point_m: FloatArray, around_m: float | None = None, window_m: float = 3.0) -> float:
-        """Arc length (m) of the path's nearest point. `around_m`: look only within `window_m` of it, so
-        that a path that crosses itself is not short-cut."""
+    def nearest(self, point_m: FloatArray, around_m: float | None = None, window_m: float | None = None) -> float:
+        """Arc length (m) of the path's nearest point. `around_m`: look only within `window_m` of it (None:
+        WINDOW_M and the way of WINDOW_S), so that a path that crosses itself or comes back is not short-cut."""
+        if window_m is None:
+            window_m = WINDOW_M + WINDOW_S * self.speed_mps
         start, legs = self.points_m[:-1], np.diff(self.points_m, axis=0)
         along = np.einsum("ij,ij->i", point_m - start, legs) / np.einsum("ij,ij->i", legs, legs)
         low, high = np.zeros(len(legs)), np.ones(len(legs))
