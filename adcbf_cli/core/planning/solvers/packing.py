@@ -205,14 +205,6 @@ def input_boxes(problem: Problem, last_inputs: FloatArray) -> tuple[FloatArray, 
     return low, high
 
 
-def confine(scene: Scene, inputs: FloatArray) -> FloatArray:
-    """The inputs (N, 2), moved stage by stage into their boxes and within reach of the stage before."""
-    confined = np.clip(inputs, scene.low, scene.high)
-    for k in range(1, len(confined)):
-        confined[k] = np.clip(confined[k], confined[k - 1] - scene.reach, confined[k - 1] + scene.reach)
-    return confined
-
-
 def _amplitude(problem: Problem, instance: Instance) -> FloatArray:
     """(n,) A (1 - E(r - r_E, sigma_r)) of eq. 14: what the obstacle's radius makes of gamma."""
     gamma = problem.barrier.gamma

@@ -23,7 +23,6 @@ from adcbf_cli.core.planning.solvers.packing import (
     VALUE,
     Scene,
     StageQp,
-    confine,
     failed,
     is_finite,
     pack_model,
@@ -52,18 +51,18 @@ class PiqpSolver:
         first = starting(guess)
         if not is_finite(scene, first):
             return failed(guess)
-        inputs = confine(scene, first)
+        inputs = self._within_limits(instance, first)
         value = merit(self._problem, instance, inputs)
         if not math.isfinite(value):
             return failed(guess)
         trust = math.inf
         for iteration in range(self._max_iterations):
             step = self._step(instance, scene, inputs, trust)
-            length, reached = self._search(instance, scene, inputs, step, value)
+            length, reached = self._search(instance, inputs, step, value)
             if length == 0.0:
                 return Solution(inputs, SolverStatus.CONVERGED, iteration + 1, value)
             trust = 2.0 * length * float(np.abs(step).max()) if length < 1.0 else 2.0 * trust
-            inputs = confine(scene, inputs + length * step)
+            inputs = self._within_limits(instance, inputs + length * step)
             fell, value = value - reached, reached
             if fell < TOLERANCE * value and iteration + 1 >= self._min_iterations:
                 return Solution(inputs, SolverStatus.CONVERGED, iteration + 1, value)
@@ -76,13 +75,12 @@ class PiqpSolver:
         qp.room[:, :4] = np.minimum(qp.room[:, :4], trust)
         return solve_by_piqp(qp)[:, :2]
 
-    def _search(
-        self, instance: Instance, scene: Scene, inputs: FloatArray, step: FloatArray, value: float
-    ) -> tuple[float, float]:
+    def _search(self, instance: Instance, inputs: FloatArray, step: FloatArray, value: float) -> tuple[float, float]:
         """How far to go along the step and the merit there; see `sqp_loop`."""
         best, best_length, length = value, 0.0, 1.0
         while SHORTEST_STEP <= length <= LONGEST_STEP:
-            reached = merit(self._problem, instance, confine(scene, inputs + length * step))
+            trial = self._within_limits(instance, inputs + length * step)
+            reached = merit(self._problem, instance, trial)
             if reached < best:
                 best, best_length = reached, length
                 if length < 1.0:
@@ -93,6 +91,11 @@ class PiqpSolver:
             else:
                 length *= 0.5
         return best_length, best
+
+    def _within_limits(self, instance: Instance, wanted: FloatArray) -> FloatArray:
+        problem = self._problem
+        last = instance.last_inputs
+        return problem.vehicle.within_limits(wanted, last, problem.step_s, problem.first_step_s)
 
 
 def solve_by_piqp(qp: StageQp) -> FloatArray:

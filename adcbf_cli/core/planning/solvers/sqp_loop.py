@@ -20,7 +20,7 @@ import numpy as np
 
 from adcbf_cli.core.planning.solvers import compiling, packing, stage_qp
 from adcbf_cli.core.planning.solvers import linearise as linearising
-from adcbf_cli.core.planning.solvers.compiling import compiled, kept, source_key
+from adcbf_cli.core.planning.solvers.compiling import ENDLESS, compiled, kept, source_key
 from adcbf_cli.core.planning.solvers.linearise import linearise, merit_of, roll_out
 from adcbf_cli.core.planning.solvers.packing import LONGEST_STEP, SHORTEST_STEP, TOLERANCE, Model, Scene, StageQp
 from adcbf_cli.core.planning.solvers.stage_qp import solve_qp
@@ -32,7 +32,8 @@ MU_START, MU_LEAST = 10.0, 0.01
 """Complementarity that programmes start from: far from a solution, and next to it."""
 
 MU_END, MU_END_MOST = 1e-6, 1e-4
-"""Complementarity that programmes are solved to: next to a solution, and far from it."""
+"""Complementarity that programmes are solved to, next to a solution and far from it, where the merit is 1
+or less; in proportion to a larger one."""
 
 NEWTON_STEPS = 25
 
@@ -67,18 +68,19 @@ def solve_sqp(
     take(scene, guess, guess, 0.0, inputs)
     roll_out(model, scene, inputs, poses)
     merit = merit_of(model, scene, inputs, poses)
-    if not math.isfinite(merit):
+    if not merit < ENDLESS:
         return inputs, merit, 0, FAILED
     fell, trust = math.inf, math.inf
     for iteration in range(max_iterations):
         linearise(model, scene, inputs, poses, qp)
         _bound_steps(qp, trust)
-        mu = min(max(fell, MU_LEAST), MU_START)
-        mu_end = min(max(1e-4 * fell, MU_END), MU_END_MOST)
+        scale = max(merit, 1.0)
+        mu = min(max(fell, MU_LEAST * scale), MU_START)
+        mu_end = min(max(1e-4 * fell, MU_END * scale), MU_END_MOST * scale)
         step, _ = solve_qp(qp, mu, mu_end, NEWTON_STEPS)
         length = _search(model, scene, inputs, step, merit, trial, trial_poses)
         if length == 0.0:
-            if mu_end == MU_END:
+            if mu_end == MU_END * scale:
                 return inputs, merit, iteration + 1, CONVERGED
             fell = 0.0  # the programme was solved roughly: once more, and precisely
             continue
@@ -101,7 +103,7 @@ def _bound_steps(qp: StageQp, trust: float) -> None:
 
 @compiled
 def take(scene: Scene, inputs: FloatArray, step: FloatArray, length: float, result: FloatArray) -> None:
-    """Fill `result` with inputs + length * step, kept within limits as by `packing.confine`."""
+    """Fill `result` with inputs + length * step, kept within limits as by `Vehicle.within_limits`."""
     for k in range(len(inputs)):
         for j in range(2):
             value = min(max(inputs[k, j] + length * step[k, j], scene.low[k, j]), scene.high[k, j])

@@ -5,7 +5,8 @@ Newton system is one Riccati recursion over the stages (Rao, Wright, Rawlings 19
 multipliers and slacks are eliminated one by one, which leaves a weight a row.
 
 Soft row: c + g d + give lam + s - t = 0 with lam t = mu, (cap - lam) s = mu, 0 < lam < cap.
-Hard row (limits of the inputs): c + g d - t = 0 with lam t = mu.
+Hard row (limits of the inputs): c + g d + HARD_GIVE lam - t = 0 with lam t = mu. The give is there for
+limits that leave a single value, which have no inside.
 With weight = 1 / (give + s / (cap - lam) + t / lam), Newton's step is
     d lam = -weight (g d_new + q),  q = c + give lam + mu / (cap - lam) - mu / lam (and second-order terms),
 so a row adds weight g g' to the Hessian and -g (lam - weight q) to the gradient of the programme in d_new.
@@ -18,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from adcbf_cli.core.planning.solvers.compiling import compiled
+from adcbf_cli.core.planning.solvers.compiling import ENDLESS, compiled
 from adcbf_cli.core.planning.solvers.packing import (
     CAP,
     FAR_X,
@@ -34,6 +35,9 @@ from adcbf_cli.core.types import FloatArray
 
 LAM, T, S, D_LAM, D_T, D_S, WEIGHT, Q, PER_LAM, PER_NU = range(10)
 """Where the method keeps what of its rows; the last two are 1 / lam and 1 / (cap - lam)."""
+
+HARD_GIVE = 1e-9
+"""How far hard rows give, m/s or rad/s per unit of their multipliers."""
 
 LEAST_ROOM = 1e-2
 """Least slack that a hard row starts with, m/s or rad/s."""
@@ -78,7 +82,7 @@ def solve_qp(qp: StageQp, mu_start: float, mu_end: float, max_steps: int) -> tup
         length, new_cross = _newton(qp, at, mu)
         length = min(0.995 * length, 1.0)
         total += length * (mu * pairs - cross - total) + length * length * new_cross
-        if not math.isfinite(total):
+        if not abs(total) < ENDLESS:
             break
         _move(at, length)
         taken += 1
@@ -138,8 +142,8 @@ def _weigh(qp: StageQp, at: Iterate) -> float:
         for side in range(SIDES if k else 4):
             total += lam[side] * t[side]
             per_lam[side] = 1.0 / lam[side]
-            weight[side] = lam[side] / t[side]
-            q[side] = qp.room[k, side]
+            weight[side] = 1.0 / (HARD_GIVE + t[side] * per_lam[side])
+            q[side] = qp.room[k, side] + HARD_GIVE * lam[side]
     return total
 
 
@@ -156,7 +160,8 @@ def _targets(qp: StageQp, at: Iterate, mu: float) -> None:
     for k in range(len(qp.room)):
         for side in range(SIDES if k else 4):
             lower = mu - at.hard[k, D_LAM, side] * at.hard[k, D_T, side]
-            at.hard[k, Q, side] = qp.room[k, side] - lower * at.hard[k, PER_LAM, side]
+            give = HARD_GIVE * at.hard[k, LAM, side]
+            at.hard[k, Q, side] = qp.room[k, side] + give - lower * at.hard[k, PER_LAM, side]
 
 
 @compiled
