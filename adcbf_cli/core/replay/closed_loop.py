@@ -69,6 +69,8 @@ class PerceptionFeed:
         if self._next is None:
             raise AdcbfError("there are no predictions to plan with: no obstacle was ever tracked long enough")
         self._log_path = setting.log_path
+        if self._log_path.mount_note is not None:
+            notes.warn(self._log_path.mount_note)
         self._knowledge = Knowledge(notes, setting.vehicle.body_radius_m)
 
     def at(self, stamp_ns: int) -> Knowledge:
@@ -109,6 +111,8 @@ class _Driver:
         self._along_m = path.nearest(self._pose[:2], self._along_m)
         self._log.tick(self.stamp_ns, self._pose, float(self._inputs[0]), self._along_m, self._touched)
         self.result = self._end()
+        if self.result is Result.COLLISION and self._tick == 0:
+            self._notes.warn(f"seed {self._entry.seed} starts in a collision: its drives end where they begin")
         planning = setting.config.planning
         known = knowledge.obstacles(
             self.stamp_ns, self._pose[:2], setting.range_m, planning.steps, planning.step_s, planning.uncertainty

@@ -14,7 +14,7 @@ from adcbf_cli.core.planning.reference import ReferencePath
 from adcbf_cli.core.replay.log_path import LogPath
 from adcbf_cli.core.replay.records import Drive, PlanStages, PlanSteps, Result
 from adcbf_cli.core.replay.world import RecordedWorld
-from adcbf_cli.core.types import NO_ID, BoolArray, FloatArray
+from adcbf_cli.core.types import NO_ID, BoolArray, FloatArray, IntArray
 from adcbf_cli.core.vehicles.vehicle import Vehicle
 
 
@@ -50,14 +50,33 @@ class _Tick:
 
 @dataclass(frozen=True, slots=True)
 class _Planned:
-    """One planning step. stages: None where they are not kept."""
+    """One planning step, in plain numbers: plans themselves would fill the memory of long replays."""
 
-    plan: Plan
+    outcome: str
+    status: str
+    start: str
+    iterations: int
+    merit: float
+    violation_m2: float
+    decay: float
+    feasible: float
     obstacles: int
+    dropped: int
     conflict: bool
     deviation_m: float
     solve_ms: float
-    stages: tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Stages:
+    """One plan's stages, as a row of `PlanStages`."""
+
+    pose: FloatArray
+    inputs: FloatArray
+    barrier_m2: FloatArray
+    gamma: FloatArray
+    slack_m2: FloatArray
+    track_id: IntArray
 
 
 class DriveLog:
@@ -71,6 +90,7 @@ class DriveLog:
         self._keep_stages = keep_stages
         self._ticks: list[_Tick] = []
         self._steps: list[_Planned] = []
+        self._stages: list[_Stages] = []
         self._inputs: list[FloatArray] = []
         self._goal_radius_m = max(setting.vehicle.body_radius_m - setting.config.replay.goal_tolerance_m, 0.0)
 
@@ -112,16 +132,26 @@ class DriveLog:
         reference = horizon(vehicle, self._path, now.along_m, now.pose, planning.steps, planning.step_s)
         away = plan.poses[: len(reference), :2] - reference[: len(plan.poses), :2]
         near_m = vehicle.body_radius_m + planning.safety_distance_m
+        details = plan.details
         self._steps.append(
             _Planned(
-                plan=plan,
+                outcome=str(plan.outcome),
+                status="" if details is None else details.status,
+                start="" if details is None else details.start,
+                iterations=-1 if details is None else details.iterations,
+                merit=np.nan if details is None else details.merit,
+                violation_m2=np.nan if details is None else details.violation_m2,
+                decay=np.nan if details is None else details.decay,
+                feasible=np.nan if details is None else float(details.feasible),
                 obstacles=len(known),
+                dropped=0 if details is None else details.dropped,
                 conflict=bool(comes_closer(reference[:, :2], known, near_m).any()),
                 deviation_m=float(np.hypot(away[:, 0], away[:, 1]).max()),
                 solve_ms=solve_ms,
-                stages=_stages_of(plan) if self._keep_stages else None,
             )
         )
+        if self._keep_stages:
+            self._stages.append(_stages_of(plan))
 
     def applied(self, inputs: FloatArray) -> None:
         """The inputs (2,) from the newest tick on."""
@@ -154,43 +184,37 @@ class DriveLog:
             goal_reachable=np.array([t.goal_reachable for t in ticks], dtype=np.bool_),
             result=result,
             steps=self._plan_steps() if self._steps else None,
-            stages=self._plan_stages() if self._steps and self._keep_stages else None,
+            stages=self._plan_stages() if self._stages else None,
             plan_error_m=plan_error_m,
         )
 
     def _plan_steps(self) -> PlanSteps:
-        details = [step.plan.details for step in self._steps]
+        steps = self._steps
 
-        def number(name: str) -> FloatArray:
-            return np.array([np.nan if d is None else float(getattr(d, name)) for d in details])
+        def floats(name: str) -> FloatArray:
+            return np.array([getattr(step, name) for step in steps], dtype=float)
+
+        def counts(name: str) -> IntArray:
+            return np.array([getattr(step, name) for step in steps], dtype=np.int64)
 
         return PlanSteps(
-            outcome=tuple(str(step.plan.outcome) for step in self._steps),
-            status=tuple("" if d is None else d.status for d in details),
-            start=tuple("" if d is None else d.start for d in details),
-            iterations=np.array([-1 if d is None else d.iterations for d in details], dtype=np.int64),
-            merit=number("merit"),
-            violation_m2=number("violation_m2"),
-            decay=number("decay"),
-            feasible=number("feasible"),
-            obstacles=np.array([step.obstacles for step in self._steps], dtype=np.int64),
-            dropped=np.array([0 if d is None else d.dropped for d in details], dtype=np.int64),
-            conflict=np.array([step.conflict for step in self._steps], dtype=np.bool_),
-            deviation_m=np.array([step.deviation_m for step in self._steps]),
-            solve_ms=np.array([step.solve_ms for step in self._steps]),
+            outcome=tuple(step.outcome for step in steps),
+            status=tuple(step.status for step in steps),
+            start=tuple(step.start for step in steps),
+            iterations=counts("iterations"),
+            merit=floats("merit"),
+            violation_m2=floats("violation_m2"),
+            decay=floats("decay"),
+            feasible=floats("feasible"),
+            obstacles=counts("obstacles"),
+            dropped=counts("dropped"),
+            conflict=np.array([step.conflict for step in steps], dtype=np.bool_),
+            deviation_m=floats("deviation_m"),
+            solve_ms=floats("solve_ms"),
         )
 
     def _plan_stages(self) -> PlanStages:
-        last = np.full((1, 2), np.nan)
-        stages = [step.stages for step in self._steps if step.stages is not None]
-        return PlanStages(
-            pose=np.stack([step.plan.poses for step in self._steps]),
-            inputs=np.stack([np.concatenate([step.plan.inputs, last]) for step in self._steps]),
-            barrier_m2=np.stack([s[0] for s in stages]),
-            gamma=np.stack([s[1] for s in stages]),
-            slack_m2=np.stack([s[2] for s in stages]),
-            track_id=np.stack([s[3] for s in stages]).astype(np.int64),
-        )
+        return PlanStages(*(np.stack([getattr(row, name) for row in self._stages]) for name in PlanStages.__slots__))
 
 
 def comes_closer(points_m: FloatArray, known: Obstacles, near_m: float) -> BoolArray:
@@ -200,16 +224,16 @@ def comes_closer(points_m: FloatArray, known: Obstacles, near_m: float) -> BoolA
     return np.asarray((distance < near_m).any(axis=1))
 
 
-def _stages_of(plan: Plan) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Barrier, gamma, slack and track id (N + 1,) of the obstacle whose barrier is lowest at each stage."""
+def _stages_of(plan: Plan) -> _Stages:
+    """The plan, with barrier, gamma, slack and id of the obstacle whose barrier is lowest at each stage."""
     stages = len(plan.poses)
-    empty = np.full(stages, np.nan)
+    barrier, gamma, slack = (np.full(stages, np.nan) for _ in range(3))
+    track_id = np.full(stages, NO_ID, dtype=np.int64)
     details = plan.details
-    if details is None or details.barrier_m2.shape[1] == 0:
-        return empty, empty, empty, np.full(stages, NO_ID)
-    lowest = np.argmin(details.barrier_m2, axis=1)
-    rows = np.arange(stages)
-    gamma, slack = empty.copy(), empty.copy()
-    gamma[:-1] = details.gamma[rows[:-1], lowest[:-1]]
-    slack[:-1] = details.slack_m2[rows[:-1], lowest[:-1]]
-    return details.barrier_m2[rows, lowest], gamma, slack, details.track_id[lowest]
+    if details is not None and details.barrier_m2.shape[1] > 0:
+        lowest, rows = np.argmin(details.barrier_m2, axis=1), np.arange(stages)
+        barrier, track_id = details.barrier_m2[rows, lowest], details.track_id[lowest]
+        gamma[:-1] = details.gamma[rows[:-1], lowest[:-1]]
+        slack[:-1] = details.slack_m2[rows[:-1], lowest[:-1]]
+    inputs = np.concatenate([plan.inputs, np.full((1, 2), np.nan)])
+    return _Stages(plan.poses, inputs, barrier, gamma, slack, track_id)

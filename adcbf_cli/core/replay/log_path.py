@@ -92,6 +92,16 @@ class LogPath:
         return cls(stamps, np.full((len(stamps), 3), np.nan))
 
     @property
+    def mount_note(self) -> str | None:
+        """What the user should know about how the sensor is mounted; None where it looks ahead."""
+        if not self.mount_yaw_rad:
+            return None
+        return (
+            f"the sensor's x axis is turned by {np.degrees(self.mount_yaw_rad):.0f} degrees from the direction of "
+            "travel: it is taken to be mounted so, and the vehicle to drive forwards"
+        )
+
+    @property
     def known(self) -> bool:
         """Whether anything drove there at all."""
         return bool(np.isfinite(self.pose).any())

@@ -127,6 +127,14 @@ def test_a_fast_disc_does_not_jump_through_the_vehicle(run: Any, driver: Any) ->
     assert (drive.stamp_ns[-1] - drive.stamp_ns[0]) / 1e9 == pytest.approx(0.6)
 
 
+def test_a_start_in_a_collision_is_told(run: Any, driver: Any) -> None:
+    notes = Notes()
+    drive = run(driver(VEHICLE, 1.0), standing(0.5, 0.0), notes=notes)
+    assert drive.result is Result.COLLISION
+    assert len(drive.stamp_ns) == 1
+    assert notes.warnings == ["seed 0 starts in a collision: its drives end where they begin"]
+
+
 def test_timeout(run: Any, driver: Any) -> None:
     """Standing: three times the nominal 5.95 s, at the next tick."""
     drive = run(driver(VEHICLE, 0.0), EMPTY, speed_mps=0.0)

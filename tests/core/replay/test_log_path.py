@@ -100,11 +100,12 @@ def test_a_sensor_mounted_turned_is_noticed(offset: float) -> None:
     assert abs(np.angle(np.exp(1j * (path.mount_yaw_rad - offset)))) < 0.02
     np.testing.assert_allclose(np.exp(1j * path.pose[:, 2]), np.exp(1j * straight.pose[:, 2]), atol=0.02)
     np.testing.assert_allclose(path.speed_mps[5:-5], 1.0, rtol=0.01)
+    assert f"turned by {np.degrees(path.mount_yaw_rad):.0f} degrees" in str(path.mount_note)
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.2, -0.3])
 def test_a_small_offset_is_left_alone(offset: float) -> None:
-    assert circle(5.0, 1.0, offset_rad=offset).mount_yaw_rad == 0.0
+    assert circle(5.0, 1.0, offset_rad=offset).mount_note is None
 
 
 def test_inputs_in_the_vehicles_own_terms() -> None:
