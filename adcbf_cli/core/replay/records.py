@@ -66,13 +66,16 @@ class Drive:
     """One drive of T control ticks, `period_s` apart (open loop: one a scan, `period_s` their median).
 
     planner: "logged" for the log's own driver, whose `steps` and `stages` are None. seed: 0 in open loop.
+    stages: None too where they were not kept (`Entry.keep_stages`). The last tick of a drive in closed loop
+        is planned, but what it plans is not driven.
     pose: (T, 3) and inputs: (T, 2): where it is at the tick, and what it applies from then on.
     clearance_m: (T,) surface distance to the nearest true obstacle (negative: overlap), NaN where the
-        recording knows of none then; nearest_id: (T,) that object, or NO_ID.
+        recording knows of none then; nearest_id: (T,) that object, or NO_ID. A collision between two
+        ticks counts for the later one.
     ttc_s: (T,) time to collision at constant velocities with any obstacle, NaN where none is in course.
     reference_m: (T,) distance from the reference path. along_m: (T,) progress along it.
     log_m: (T,) distance from where the log's vehicle was then, NaN where the log does not say.
-    recorded: (T,) whether the recording covers this tick; after it nothing is known of obstacles.
+    recorded: (T,) whether the recording covers this tick; after it only what stands is still there.
     result: None in open loop. goal_reachable: (T,) False where the goal lies within a true obstacle.
     plan_error_m: open loop only: (T, N + 1) distance of each plan's stage from where the logged vehicle
         then was, NaN where the log does not say; else None.
