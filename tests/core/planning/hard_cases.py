@@ -120,7 +120,7 @@ def drive(case: Case, planner: Planner, vehicle: Vehicle, planning: PlanningConf
     )
 
 
-def stands(poses: list[FloatArray], rate_hz: float, for_s: float = 4.0) -> bool:
+def stands(poses: list[FloatArray], rate_hz: float, for_s: float = 2.0) -> bool:
     """Whether the vehicle has not moved for so long."""
     ticks = round(for_s * rate_hz)
     return len(poses) > ticks and float(np.abs(poses[-1] - poses[-1 - ticks]).max()) < 5e-3

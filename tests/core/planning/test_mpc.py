@@ -163,10 +163,10 @@ def test_a_plan_is_shifted_in_time_not_by_stages() -> None:
 def test_the_second_start_goes_around_on_the_free_side() -> None:
     for y, side in ((0.2, -1), (-0.2, 1), (0.0, 1)):
         made, solver = told(constant(0.5))
-        made.plan(situation([(1.6, y, 0.0, 0.0, 0.4)]))
+        made.plan(situation([(2.1, y, 0.0, 0.0, 0.4)]))
         poses = VEHICLE.roll_out(np.zeros(3), solver.guesses[0], 0.1)
-        assert np.sign(poses[18, 1]) == side
-        gap = np.hypot(poses[:, 0] - 1.6, poses[:, 1] - y).min()
+        assert np.sign(poses[26, 1]) == side
+        gap = np.hypot(poses[:, 0] - 2.1, poses[:, 1] - y).min()
         assert gap > 0.65, "a start need not keep the distance, but it goes around"
 
 
