@@ -13,7 +13,9 @@ smaller than a fitted circle. What the sensor did not see of a box (its far side
 
 Splitting. A circle around a wall would swallow free space that the robot needs. A cluster is split
 when its circle is larger than `max_radius_m` and it is longer than `max_length_m` (longer than a car
-or a group of people) or thin (a wall): a rectangle that covers less than THIN of its circle. It is cut
+or a group of people), or thin (a wall): a rectangle that covers less than THIN of its circle, or hollow
+(the corner of a room): its circle holds the sensor, or its centre lies in front of it, where the beams
+that reached it have passed. It is cut
 across its length into equal parts, and those parts again where they are bent, until no circle is
 larger than `max_radius_m`. Pieces name their common origin in `split_from`. Cars, groups of people
 and bushes thus stay one object for the tracker.
@@ -41,6 +43,9 @@ from adcbf_cli.core.types import NO_ID, BoolArray, FloatArray, IntArray
 
 THIN = 0.1
 """A rectangle that fills less of its circle is a wall: its width is below 0.08 of its length."""
+
+HOLLOW = 0.25
+"""A centre is in front of its obstacle if the beams towards it went on by this share of the radius."""
 
 NARROW_ARC_RAD = np.radians(60.0)
 WIDE_ARC_RAD = np.radians(100.0)
@@ -163,14 +168,30 @@ def _trusted_circles(
     return weight, circle
 
 
-def too_long(shapes: Shapes, config: PerceptionConfig) -> BoolArray:
-    """Which groups (g,) must be split."""
+def must_be_split(grouped: Grouped, shapes: Shapes, config: PerceptionConfig) -> BoolArray:
+    """Which groups (g,) must be split. The sensor is the origin."""
     diagonal = shapes.length_m**2 + shapes.width_m**2
     fill = shapes.length_m * shapes.width_m / np.maximum(np.pi / 4 * diagonal, 1e-12)
-    result: BoolArray = (shapes.radius_m > config.max_radius_m) & (
-        (shapes.length_m > config.max_length_m) | (fill < THIN)
-    )
-    return result
+    large = shapes.radius_m > config.max_radius_m
+    split: BoolArray = large & ((shapes.length_m > config.max_length_m) | (fill < THIN))
+    end = np.append(grouped.cell_start[1:], len(grouped.cells_m))
+    for i in np.flatnonzero(large & ~split):
+        cells_m = grouped.cells_m[grouped.cell_start[i] : end[i]]
+        split[i] = is_hollow(cells_m, shapes.centre_m[i, :2], float(shapes.radius_m[i]))
+    return split
+
+
+def is_hollow(cells_m: FloatArray, centre_m: FloatArray, radius_m: float) -> bool:
+    """Whether an obstacle of cells (k, 2), seen from the origin, is not where its circle is: the circle holds
+    the sensor, or the nearest cells on the way to its centre (2,) lie well behind that centre."""
+    range_m = float(np.hypot(*centre_m))
+    if range_m <= radius_m:
+        return True
+    towards = centre_m / range_m
+    along = cells_m @ towards
+    across = np.abs(cells_m @ np.array([-towards[1], towards[0]]))
+    on_the_way = along[across < HOLLOW * radius_m]
+    return bool(len(on_the_way) > 0 and on_the_way.min() > range_m + HOLLOW * radius_m)
 
 
 def split_over_long(
@@ -181,8 +202,9 @@ def split_over_long(
     Arguments as for `group_points`. Returns the final groups' shapes, each cell's final group (k,),
     and for each final group the group that it is a piece of, or NO_ID, (g,).
     """
-    shapes = measure(group_points(points_m, point_cell, cells_m, cell_group), config, config.centre)
-    long = too_long(shapes, config)
+    grouped = group_points(points_m, point_cell, cells_m, cell_group)
+    shapes = measure(grouped, config, config.centre)
+    long = must_be_split(grouped, shapes, config)
     if not long.any():
         return shapes, cell_group, np.full(len(long), NO_ID, dtype=np.int64)
 

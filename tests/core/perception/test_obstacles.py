@@ -116,6 +116,23 @@ def test_a_hollow_corner_is_no_circle_around_the_robot() -> None:
     assert np.hypot(*shapes.centre_m[0, :2]) > 0.5
 
 
+@pytest.mark.parametrize("turn", [0.0, 1.0, 2.5, -2.0])
+def test_the_corner_of_a_room_is_split_and_the_corner_of_a_car_is_not(turn: float) -> None:
+    """The same two sides, seen from inside (beams passed where a circle's centre would be) and from outside."""
+    inside = polyline((2.0, 3.0), (5.0, 3.0), (5.0, 0.0))
+    outside = polyline((5.0, 3.0), (5.0, 0.0), (8.0, 0.0))
+    rotate = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    shapes, _, origin = obstacles(inside @ rotate)
+    assert len(origin) > 1
+    assert shapes.radius_m.max() <= CONFIG.max_radius_m
+    assert len(obstacles(outside @ rotate)[2]) == 1
+
+
+def test_no_obstacle_holds_the_sensor() -> None:
+    shapes, _, _ = obstacles(polyline((-1.5, 1.0), (1.5, 1.0), (1.5, -1.5)))
+    assert (np.hypot(*shapes.centre_m[:, :2].T) > shapes.radius_m - 0.1).all()
+
+
 def test_height_and_rectangle_by_hand() -> None:
     points = polyline((2.0, 0.0), (2.0, 1.0), (2.5, 1.0), (2.5, 0.0), (2.0, 0.0), step=0.05)
     points[:, 2] = np.linspace(-0.4, 0.8, len(points))
