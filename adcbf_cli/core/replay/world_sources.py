@@ -51,25 +51,21 @@ def world_of(truth: Truth | None, tracks: Iterable[Tracks], config: Config) -> t
     rooms = [_room(t, driven_m, config.vehicle.body_radius_m) for t in smooth]
     if truth is None:
         samples, standing = track_samples(smooth, rooms)
-        trimmed = sum(bool((t.radius_m > room.radius_m).any()) for t, room in zip(smooth, rooms, strict=True))
-        said = f"; {trimmed} of {len(smooth)} trimmed to leave the log's vehicle its place" if trimmed else ""
-        return RecordedWorld(samples, max_gap_s, standing), "the log's own tracks, smoothed" + said
+        said = "the log's own tracks, smoothed" + _trimmed(smooth, rooms)
+        return RecordedWorld(samples, max_gap_s, standing), said
     samples, standing = truth_samples(truth, config)
     labelled = RecordedWorld(samples, max_gap_s, standing)
     exhaustive = truth.exhaustive if config.evaluation.truth_exhaustive is None else config.evaluation.truth_exhaustive
-    more = [
-        i
-        for i, t in enumerate(smooth)
-        if (not exhaustive or stands(t)) and not _is_labelled(t, labelled, config.evaluation.match_m)
-    ]
-    added, added_standing = track_samples(
-        [smooth[i] for i in more], [rooms[i] for i in more], first_id=int(samples.id.max(initial=-1)) + 1
-    )
+    on_label = _are_labelled(smooth, labelled, config.evaluation.match_m)
+    more = [i for i, t in enumerate(smooth) if (not exhaustive or stands(t)) and not on_label[i]]
+    smooth, rooms = [smooth[i] for i in more], [rooms[i] for i in more]
+    added, added_standing = track_samples(smooth, rooms, first_id=int(samples.id.max(initial=-1)) + 1)
     world = RecordedWorld(
         Samples.joined([samples, added]), max_gap_s, np.concatenate([standing, added_standing]).astype(np.int64)
     )
     kind = "standing tracks" if exhaustive else "tracks"
-    return world, f"ground truth ({truth.source}) and {len(more)} {kind} of what it does not label"
+    said = f"ground truth ({truth.source}) and {len(more)} {kind} of what it does not label"
+    return world, said + _trimmed(smooth, rooms)
 
 
 def truth_samples(truth: Truth, config: Config) -> tuple[Samples, IntArray]:
@@ -135,6 +131,12 @@ def _room(track: SmoothTrack, driven_m: FloatArray, body_radius_m: float) -> Roo
     return Room(max(min(while_seen, always) if for_good else while_seen, MIN_RADIUS_M), for_good)
 
 
+def _trimmed(tracks: list[SmoothTrack], rooms: list[Room]) -> str:
+    """What to say of trimmed circles."""
+    trimmed = sum(bool((t.radius_m > room.radius_m).any()) for t, room in zip(tracks, rooms, strict=True))
+    return f"; {trimmed} of {len(tracks)} trimmed to leave the log's vehicle its place" if trimmed else ""
+
+
 def stands(track: SmoothTrack) -> bool:
     """Whether it stood when it was last seen, and for most of the time before."""
     return bool(track.is_static[-1]) and float(np.mean(track.is_static)) > 0.5
@@ -160,12 +162,20 @@ def _labelled_standing(truth: Truth, object_id: int, static_speed_mps: float) ->
     return bool(len(stamps) > 1 and slow and away.max() <= STANDING_SPREAD_M)
 
 
-def _is_labelled(track: SmoothTrack, labelled: RecordedWorld, match_m: float) -> bool:
-    """Whether most of a track's sightings lie on labelled things: centres within `match_m`, or the
+def _are_labelled(tracks: list[SmoothTrack], labelled: RecordedWorld, match_m: float) -> list[bool]:
+    """Whether most of each track's sightings lie on labelled things: centres within `match_m`, or the
     track's centre within the thing."""
-    matches = 0
-    for stamp, point in zip(track.stamp_ns.tolist(), track.position_m, strict=True):
-        objects = labelled.at(stamp)
-        near = np.hypot(*(objects.centre_m - point).T) <= match_m
-        matches += bool((near | (objects.clearance(point[None], 0.0)[0] <= 0.0)).any())
-    return matches > ON_TRUTH_SHARE * len(track.stamp_ns)
+    if not tracks:
+        return []
+    owner = np.concatenate([np.full(len(t.stamp_ns), i) for i, t in enumerate(tracks)])
+    stamps = np.concatenate([t.stamp_ns for t in tracks])
+    points = np.concatenate([t.position_m for t in tracks])
+    matches = np.zeros(len(owner), dtype=np.bool_)
+    order = np.argsort(stamps, kind="stable")
+    for rows in np.split(order, np.flatnonzero(np.diff(stamps[order])) + 1):
+        objects = labelled.at(int(stamps[rows[0]]))
+        offset = points[rows][:, None] - objects.centre_m
+        near = np.hypot(offset[..., 0], offset[..., 1]) <= match_m
+        matches[rows] = (near | (objects.clearance(points[rows], 0.0) <= 0.0)).any(axis=1)
+    share = np.bincount(owner, weights=matches) / np.bincount(owner)
+    return [bool(value) for value in share > ON_TRUTH_SHARE]
