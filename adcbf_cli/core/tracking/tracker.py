@@ -145,6 +145,8 @@ class Tracker:
         missed = np.ones(len(bank), dtype=np.bool_)
         missed[rows] = False
         bank.misses = np.where(missed, bank.misses + 1, 0)
+        hidden = missed & bank.is_static & sharing.pairs(len(clusters))[:, taken].any(axis=1)
+        bank.seen_s[hidden] = self._now_s  # one with what moves past it, not gone
         if not len(rows):
             return taken
         doubt = size_doubt(bank, views, clusters, rows, columns)

@@ -71,12 +71,12 @@ def test_what_is_beyond_the_body_is_on_the_others_side() -> None:
     assert cut_surplus(extent, seen, np.array([-1.0, 0.5]), np.array(0.5)).tolist() == [0.25, 0.0]
 
 
-def drive_past_a_post(step_m: float = 0.2, merge_m: float = 0.5) -> tuple[np.ndarray, list[Tracks]]:
-    """A box of 1.0 x 0.5 m drives at 2 m/s past a post; both are one cluster while nearer than merge_m.
+def drive_past_a_post(step_m: float, merge_m: float = 0.5) -> tuple[np.ndarray, list[Tracks]]:
+    """A box of 1.0 x 0.5 m drives 10 step_m a second past a post; both are one cluster while nearer than merge_m.
     Returns the box's true centres (n, 2) and each frame's tracks."""
     tracker, truth, history = Tracker(TrackingConfig(), Notes()), [], []
     post = (-0.05, 0.7, 0.05, 0.8)
-    for k in range(45):
+    for k in range(round(9.0 / step_m)):
         x = -5.0 + step_m * k
         box = (x - 0.5, -0.25, x + 0.5, 0.25)
         gap = np.hypot(max(abs(x) - 0.55, 0.0), 0.45)
@@ -86,14 +86,15 @@ def drive_past_a_post(step_m: float = 0.2, merge_m: float = 0.5) -> tuple[np.nda
     return np.array(truth), history
 
 
-def test_a_vehicle_that_passes_a_post_stays_where_it_is_and_as_large() -> None:
-    truth, history = drive_past_a_post()
+@pytest.mark.parametrize("step_m", [0.2, 0.1])  # the slower one hides the post for longer than a track coasts
+def test_a_vehicle_that_passes_a_post_stays_where_it_is_and_as_large(step_m: float) -> None:
+    truth, history = drive_past_a_post(step_m)
     box = history[20].track_id[np.argmin(np.linalg.norm(history[20].state[:, :2] - truth[20], axis=1))]
     for frame, place in zip(history[20:], truth[20:], strict=True):
         row = np.flatnonzero(frame.track_id == box)
         assert len(row) == 1
         assert frame.status[row[0]] == TrackStatus.CONFIRMED
-        assert frame.state[row[0], :2] == pytest.approx(place, abs=0.06)
+        assert frame.state[row[0], :2] == pytest.approx(place, abs=0.1)
         assert frame.radius_m[row[0]] < 0.57
     post = next(i for i in history[20].track_id if i != box)
     assert post in history[-1].track_id
