@@ -125,7 +125,7 @@ class Vehicle:
 
     def braking(self, last: FloatArray, steps: int, step_s: float, first_step_s: float | None = None) -> FloatArray:
         """Inputs (steps, 2) that stop as fast as the limits allow: speed to zero, and a unicycle's yaw
-        rate in proportion to it, so that the path keeps its curvature; steering stays.
+        rate in proportion to it, so that the path keeps its curvature, as far as its rate allows; steering stays.
 
         first_step_s: how long the first change may take, where that differs from `step_s`.
         """
@@ -134,8 +134,6 @@ class Vehicle:
         speed = np.sign(last[0]) * np.maximum(np.abs(last[0]) - self.rate_max[0] * at_s, 0.0)
         turn = np.full(steps, last[1])
         if self.kind == "unicycle":
-            wanted = last[1] * (speed / last[0] if last[0] else np.zeros(steps))
-            fastest = np.maximum(np.abs(last[1]) - self.rate_max[1] * at_s, 0.0)
-            turn = np.sign(last[1]) * np.maximum(np.abs(wanted), fastest)
+            turn = last[1] * (speed / last[0] if last[0] else np.zeros(steps))
         lowest, highest = self.envelope(last, steps, step_s, first_s)
         return np.asarray(np.clip(np.column_stack([speed, turn]), lowest, highest))

@@ -128,6 +128,14 @@ def test_alpha_that_falls_with_h_is_found() -> None:
     assert "alpha falls with growing h" in flaw
 
 
+def test_only_what_can_be_met_is_judged() -> None:
+    """Within 1 m of a big obstacle the printed gamma falls with distance: a small vehicle gets there, a
+    vehicle of 0.8 m with 0.2 m to keep does not."""
+    barrier = Barrier(AdaptiveGamma(form="printed", floor=1e-3))
+    assert "alpha falls" in str(barrier_flaw(barrier, 0.02, 0.0))
+    assert barrier_flaw(barrier, 0.8, 0.2) is None
+
+
 def test_what_is_accepted_keeps_h_from_changing_its_sign() -> None:
     """At the constraint's edge h[k + 1] = h - alpha(h): never below zero from h >= 0, never above h."""
     for barrier in ACCEPTED.values():

@@ -173,6 +173,12 @@ def test_a_unicycle_brakes_on_its_arc() -> None:
     np.testing.assert_array_equal(plan[8:], 0.0)
 
 
+def test_a_unicycle_leaves_its_arc_where_its_yaw_rate_cannot_follow() -> None:
+    """Speed 0.1 is gone at once; the yaw rate of 0.9 falls by 3 rad/s^2, no faster."""
+    plan = vehicle("unicycle").braking(np.array([0.1, 0.9]), 4, STEP_S)
+    np.testing.assert_allclose(plan, [[0, 0.6], [0, 0.3], [0, 0], [0, 0]], atol=1e-12)
+
+
 def test_steering_stays_while_braking() -> None:
     plan = vehicle("ackermann").braking(np.array([0.8, 0.4]), 10, STEP_S)
     np.testing.assert_array_equal(plan[:, 1], 0.4)
