@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -118,3 +120,23 @@ def test_planners_of_one_name_share_nothing() -> None:
     one, two = (make_planner("ad-cbf-mpc", VEHICLE, PlanningConfig(), Notes()) for _ in range(2))
     assert one is not two
     assert np.isfinite(problem_of(VEHICLE, PlanningConfig(), preset("mpc-dc").barrier(PlanningConfig())).first_step_s)
+
+
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "planning.md").read_text()
+
+
+@pytest.mark.parametrize("setting", list(PlanningConfig.model_fields))
+def test_every_setting_is_described_with_its_default(setting: str) -> None:
+    """In the table of settings: the name, and the default at the same place among the row's defaults."""
+    row = next(line for line in PAGE.splitlines() if line.startswith("| `") and f"`{setting}`" in line.split("|")[1])
+    names, defaults = ([cell.strip(" `") for cell in column.split(",")] for column in row.split("|")[1:3])
+    shown, default = defaults[names.index(setting)], PlanningConfig.model_fields[setting].default
+    if isinstance(default, bool) or default is None or isinstance(default, str):
+        assert shown == {True: "true", False: "false", None: "null"}.get(default, default)
+    else:
+        assert float(shown) == default
+
+
+@pytest.mark.parametrize("name", NINE)
+def test_every_planner_is_described(name: str) -> None:
+    assert f"`{name}`" in PAGE
