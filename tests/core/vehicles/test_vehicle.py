@@ -21,10 +21,7 @@ def vehicle(kind: str, **settings: float) -> Vehicle:
 
 def integrated(model: Vehicle, pose: FloatArray, inputs: FloatArray, duration_s: float) -> FloatArray:
     """The pose by Runge-Kutta of fourth order over the textbook's differential equations, 200 small steps."""
-    if model.kind == "unicycle":
-        turn = inputs[1]
-    else:
-        turn = inputs[0] * np.tan(inputs[1]) / model.wheelbase_m
+    turn = inputs[1] if model.kind == "unicycle" else inputs[0] * np.tan(inputs[1]) / model.wheelbase_m
 
     def slope(at: FloatArray) -> FloatArray:
         return np.array([inputs[0] * np.cos(at[2]), inputs[0] * np.sin(at[2]), turn])
