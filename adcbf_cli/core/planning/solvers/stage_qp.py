@@ -36,7 +36,7 @@ from adcbf_cli.core.types import FloatArray
 LAM, T, S, D_LAM, D_T, D_S, WEIGHT, Q, PER_LAM, PER_NU = range(10)
 """Where the method keeps what of its rows; the last two are 1 / lam and 1 / (cap - lam)."""
 
-HARD_GIVE = 1e-9
+HARD_GIVE = 1e-8
 """How far hard rows give, m/s or rad/s per unit of their multipliers."""
 
 LEAST_ROOM = 1e-2
