@@ -18,6 +18,9 @@ from adcbf_cli.core.types import NO_ID, BoolArray, FloatArray, IntArray
 MAX_DISCS = 64
 """A rectangle is covered by at most this many discs."""
 
+KEPT_MOMENTS = 4
+"""The last moments asked for are kept: drives side by side ask for the same tick and the next one."""
+
 _X, _VX, _RADIUS, _LENGTH, _WIDTH, _YAW = 0, 2, 4, 5, 6, 7
 
 
@@ -180,7 +183,7 @@ class RecordedWorld:
         self._first, self._last = self._values[first].copy(), self._values[last].copy()
         self._first[:, _VX : _VX + 2] = self._last[:, _VX : _VX + 2] = 0.0
         self._start_ns = samples.stamp_ns[first]
-        self._latest: tuple[int, WorldObjects] | None = None
+        self._latest: dict[int, WorldObjects] = {}
 
     def __len__(self) -> int:
         """The number of things."""
@@ -195,9 +198,11 @@ class RecordedWorld:
 
     def at(self, stamp_ns: int) -> WorldObjects:
         """The things that are there at this time."""
-        if self._latest is None or self._latest[0] != stamp_ns:
-            self._latest = (stamp_ns, self._at(stamp_ns))
-        return self._latest[1]
+        if stamp_ns not in self._latest:
+            if len(self._latest) >= KEPT_MOMENTS:
+                self._latest.pop(next(iter(self._latest)))
+            self._latest[stamp_ns] = self._at(stamp_ns)
+        return self._latest[stamp_ns]
 
     def _at(self, stamp_ns: int) -> WorldObjects:
         ids, values = self._paths.present(stamp_ns)

@@ -13,9 +13,6 @@ from adcbf_cli.core.replay.smoothing import SmoothTrack, smooth_tracks
 from adcbf_cli.core.replay.world import RecordedWorld, Samples
 from adcbf_cli.core.types import FloatArray, IntArray, Tracks, Truth
 
-DEFAULT_RADIUS_M = 0.3
-"""Of a labelled thing without a size: a person's."""
-
 STANDING_SPREAD_M = 0.5
 """A labelled thing stands if it stays within this of where it first was, and is on the whole no faster
 than tracking.static_speed_mps. Labels made in the sensor's frame wander with the odometry."""
@@ -78,7 +75,7 @@ def truth_samples(truth: Truth, config: Config) -> tuple[Samples, IntArray]:
         truth.track_id,
         truth.stamp_ns,
         truth.position_m[:, :2],
-        np.where(sized, 0.5 * np.hypot(truth.length_m, truth.width_m), DEFAULT_RADIUS_M),
+        np.where(sized, 0.5 * np.hypot(truth.length_m, truth.width_m), config.read.object_radius_m),
         length_m=np.where(boxed, truth.length_m, np.nan),
         width_m=np.where(boxed, truth.width_m, np.nan),
         yaw_rad=np.where(boxed, truth.yaw_rad, np.nan),
