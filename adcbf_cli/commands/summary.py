@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -11,6 +12,8 @@ from adcbf_cli.core.errors import EXIT_DATA_LOST
 from adcbf_cli.io.run_folder import STAGES
 
 if TYPE_CHECKING:
+    import pyarrow as pa
+
     from adcbf_cli.commands.stages import Outcome
     from adcbf_cli.io.run_folder import RunFolder
 
@@ -94,17 +97,23 @@ def _cluster_facts(folder: RunFolder) -> list[tuple[str, Any, str]]:
 
 
 def _track_facts(folder: RunFolder) -> list[tuple[str, Any, str]]:
+    import pyarrow as pa
     import pyarrow.compute as pc
 
-    from adcbf_cli.io.parquet import read_table
-
-    tracks = read_table(folder.table("tracks"), columns=["track_id", "status", "is_static", "age_s"])
-    confirmed = tracks.filter(pc.equal(tracks["status"], "confirmed"))
-    each = confirmed.group_by("track_id", use_threads=False).aggregate([("is_static", "max"), ("age_s", "max")])
-    longest = pc.max(each["age_s_max"]).as_py()
+    names = ["track_id", "is_static", "age_s"]
+    each: pa.Table | None = None
+    for rows in _batches(folder, "tracks", ["status", *names]):
+        confirmed = rows.filter(pc.equal(rows["status"], "confirmed")).select(names)
+        each = confirmed if each is None else pa.concat_tables([each, confirmed])
+        most = [("is_static", "max"), ("age_s", "max")]
+        each = each.group_by("track_id", use_threads=False).aggregate(most).select(["track_id", *map("_".join, most)])
+        each = each.rename_columns(names)
+    if each is None:
+        return [("confirmed tracks", 0, ""), ("of which stood still at some time", 0, ""), ("longest track", None, "s")]
+    longest = pc.max(each["age_s"]).as_py()
     return [
         ("confirmed tracks", len(each), ""),
-        ("of which stood still at some time", pc.sum(each["is_static_max"]).as_py() or 0, ""),
+        ("of which stood still at some time", pc.sum(each["is_static"]).as_py() or 0, ""),
         ("longest track", None if longest is None else round(longest, 1), "s"),
     ]
 
@@ -112,18 +121,37 @@ def _track_facts(folder: RunFolder) -> list[tuple[str, Any, str]]:
 def _prediction_facts(folder: RunFolder) -> list[tuple[str, Any, str]]:
     import pyarrow.compute as pc
 
-    from adcbf_cli.io.parquet import read_table
-
-    rows = read_table(folder.table("predictions"), columns=["track_id", "step", "sigma_radius_m", "conformal_radius_m"])
-    if not len(rows):
+    steps, count = 0, 0
+    sums = {"sigma_radius_m": 0.0, "conformal_radius_m": 0.0}
+    known = dict.fromkeys(sums, 0)
+    for rows in _batches(folder, "predictions", ["step", *sums]):
+        if pc.max(rows["step"]).as_py() > steps:  # in the first batch already, unless it is shorter than a horizon
+            steps, count = pc.max(rows["step"]).as_py(), 0
+            sums, known = dict.fromkeys(sums, 0.0), dict.fromkeys(sums, 0)
+        last = rows.filter(pc.equal(rows["step"], steps))
+        count += len(last)
+        for name in sums:
+            sums[name] += pc.sum(last[name]).as_py() or 0.0
+            known[name] += pc.count(last[name]).as_py()
+    if not steps:
         return [("predictions", 0, "")]
-    last = rows.filter(pc.equal(rows["step"], pc.max(rows["step"])))
+    mean = {name: round(sums[name] / known[name], 3) if known[name] else None for name in sums}
     return [
-        ("predictions (track x frame)", len(last), ""),
-        ("steps", pc.max(rows["step"]).as_py(), ""),
-        ("uncertainty radius at the last step, mean", _mean(last, "sigma_radius_m", 3), "m"),
-        ("conformal radius at the last step, mean", _mean(last, "conformal_radius_m", 3), "m"),
+        ("predictions (track x frame)", count, ""),
+        ("steps", steps, ""),
+        ("uncertainty radius at the last step, mean", mean["sigma_radius_m"], "m"),
+        ("conformal radius at the last step, mean", mean["conformal_radius_m"], "m"),
     ]
+
+
+def _batches(folder: RunFolder, table: str, columns: list[str]) -> Iterator[pa.Table]:
+    """A table that grows with the log, a piece at a time."""
+    import pyarrow as pa
+
+    from adcbf_cli.io.parquet import ROWS_READ, batches
+
+    for batch in batches(folder.table(table), batch_size=ROWS_READ, columns=columns):
+        yield pa.Table.from_batches([batch])
 
 
 _FACTS = {"cluster": _cluster_facts, "track": _track_facts, "predict": _prediction_facts}
