@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -176,7 +177,7 @@ def report(with_truth: Sequence[Outcome], without: Sequence[Outcome]) -> str:
         lines += ["", "### Without ground truth: predictions against where the same track was later seen"]
         lines += ["", *table(without, SELF, "later_seen.rmse_x_m")]
     lines += ["", "### The commands", ""]
-    lines += [f"    adcbf {' '.join(outcome.case.arguments())}" for outcome in (*with_truth, *without)]
+    lines += [f"    adcbf {shlex.join(outcome.case.arguments())}" for outcome in (*with_truth, *without)]
     return "\n".join(lines)
 
 
