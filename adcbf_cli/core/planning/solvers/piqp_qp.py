@@ -52,7 +52,8 @@ class PiqpSolver:
         if not is_finite(scene, first):
             return failed(guess)
         inputs = self._within_limits(instance, first)
-        value = merit(self._problem, instance, inputs)
+        with np.errstate(over="ignore", invalid="ignore"):
+            value = merit(self._problem, instance, inputs)
         if not math.isfinite(value):
             return failed(guess)
         trust = math.inf

@@ -36,7 +36,7 @@ MU_END, MU_END_MOST = 1e-6, 1e-4
 or less; in proportion to a larger one."""
 
 NEWTON_STEPS = 25
-
+"""At most, for one programme; four or five are usual, a dozen far from a solution."""
 
 Entry = Callable[[Model, Scene, StageQp, FloatArray, int, int], tuple[FloatArray, float, int, int]]
 
@@ -77,18 +77,17 @@ def solve_sqp(
         scale = max(merit, 1.0)
         mu = min(max(fell, MU_LEAST * scale), MU_START)
         mu_end = min(max(1e-4 * fell, MU_END * scale), MU_END_MOST * scale)
-        step, _ = solve_qp(qp, mu, mu_end, NEWTON_STEPS)
-        length = _search(model, scene, inputs, step, merit, trial, trial_poses)
+        step, taken = solve_qp(qp, mu, mu_end, NEWTON_STEPS)
+        length, best = _search(model, scene, inputs, step, merit, trial, trial_poses)
         if length == 0.0:
             if mu_end == MU_END * scale:
-                return inputs, merit, iteration + 1, CONVERGED
+                return inputs, merit, iteration + 1, CONVERGED if taken < NEWTON_STEPS else LIMIT
             fell = 0.0  # the programme was solved roughly: once more, and precisely
             continue
         trust = 2.0 * length * np.max(np.abs(step[:, :2])) if length < 1.0 else 2.0 * trust
         take(scene, inputs, step, length, inputs)
         roll_out(model, scene, inputs, poses)
-        before, merit = merit, merit_of(model, scene, inputs, poses)
-        fell = before - merit
+        fell, merit = merit - best, best
         if fell < TOLERANCE * merit and iteration + 1 >= min_iterations:
             return inputs, merit, iteration + 1, CONVERGED
     return inputs, merit, max_iterations, LIMIT
@@ -122,9 +121,9 @@ def _search(
     merit: float,
     trial: FloatArray,
     trial_poses: FloatArray,
-) -> float:
-    """How far to go along the step: 1, doubled while that is better still, or halved until it is better
-    than `merit` at all; 0 where it never is."""
+) -> tuple[float, float]:
+    """How far to go along the step, and the merit there: 1, doubled while that is better still, or halved
+    until it is better than `merit` at all; 0 where it never is."""
     best, best_length, length = merit, 0.0, 1.0
     while SHORTEST_STEP <= length <= LONGEST_STEP:
         take(scene, inputs, step, length, trial)
@@ -139,4 +138,4 @@ def _search(
             break
         else:
             length *= 0.5
-    return best_length
+    return best_length, best
