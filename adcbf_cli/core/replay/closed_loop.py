@@ -26,8 +26,9 @@ from adcbf_cli.core.vehicles.vehicle import Vehicle
 CHECK_SPACING_M = 0.02
 """Between ticks, a collision is looked for each time that ego and obstacles may have come this much closer."""
 
-PASSED_SHARE = 0.5
-"""The goal counts as reached after this share of the path: a path may start where it ends."""
+LEFT_TOLERANCES = 2.0
+"""The goal counts as reached with no more than this many goal tolerances of path left: a path may start
+where it ends, and pass its goal more than once."""
 
 INPUT_TOLERANCE = 1e-9
 
@@ -134,7 +135,8 @@ class _Driver:
             return Result.COLLISION
         path, replay_config = self._entry.path, self._setting.config.replay
         to_goal_m = float(np.hypot(*(self._pose[:2] - path.goal_m)))
-        if to_goal_m <= replay_config.goal_tolerance_m and self._along_m >= PASSED_SHARE * path.length_m:
+        left_m = path.length_m - self._along_m
+        if to_goal_m <= replay_config.goal_tolerance_m and left_m <= LEFT_TOLERANCES * replay_config.goal_tolerance_m:
             return Result.SUCCESS
         if (self.stamp_ns - self._entry.start_ns) / 1e9 >= self._limit_s:
             return Result.TIMEOUT
