@@ -9,7 +9,7 @@ import numpy as np
 
 from adcbf_cli.core.config import PlanningConfig
 from adcbf_cli.core.planning import fallback, pursuit
-from adcbf_cli.core.planning.fallback import required_m, surface_m
+from adcbf_cli.core.planning.fallback import TOUCH_M, required_m, surface_m
 from adcbf_cli.core.planning.planner import Outcome, Plan, Situation
 from adcbf_cli.core.planning.problem import Obstacles
 from adcbf_cli.core.types import FloatArray
@@ -25,21 +25,31 @@ NEAR_M = 0.6
 """Surface distance, beyond the safety distance, below which clearance costs."""
 
 CLEARANCE_WEIGHT = 1.0
-"""Metres of distance from the reference that a stage in contact is worth."""
+"""Metres of distance from the reference that being within the safety distance is worth."""
+
+CONFLICT_WEIGHT = 2.0
+"""Metres of distance from the reference that an arc is worth which is within the safety distance at once;
+the later, the less: there is time yet to choose another."""
+
+SWITCH_WEIGHT = 0.1
+"""Metres of distance from the reference that each rad/s (rad) between this arc's turn and the last one's is
+worth: otherwise left and right of something dead ahead win in turn, until it is too late for either."""
 
 SPEED_WEIGHT = 0.3
 """Metres of distance from the reference that each m/s below its speed is worth."""
 
 
 class DynamicWindow:
-    """Admissible is an arc when, after one stage on it, braking ends before anything comes closer than the
-    safety distance. So what stands still is never hit, as long as it is known."""
+    """Admissible is an arc that keeps the safety distance for the whole horizon, or from which, after one
+    stage, braking ends before anything comes closer. So what stands still is never hit, as long as it is
+    known and the horizon holds the stopping distance."""
 
     def __init__(self, name: str, vehicle: Vehicle, planning: PlanningConfig) -> None:
         self.name = name
         self._vehicle = vehicle
         self._planning = planning
         self._progress = pursuit.Progress()
+        self._turn = 0.0
 
     def plan(self, situation: Situation) -> Plan:
         vehicle, planning = self._vehicle, self._planning
@@ -49,8 +59,11 @@ class DynamicWindow:
         reference = pursuit.horizon(vehicle, path, along_m, situation.pose, steps, step_s)
         arcs = self._arcs(situation.inputs)
         poses = roll_outs(vehicle, situation.pose, arcs, step_s)
-        for i in np.argsort(self._costs(situation, reference, arcs, poses), kind="stable"):
-            if self._admissible(situation, arcs[i, 0]):
+        spare = self._spare_m(situation, poses)
+        clear = np.asarray((spare >= -TOUCH_M).all(axis=1))
+        for i in np.argsort(self._costs(reference, arcs, poses, spare), kind="stable"):
+            if clear[i] or self._can_stop(situation, arcs[i, 0]):
+                self._turn = float(arcs[i, -1, 1])
                 return Plan(Outcome.SOLVED, arcs[i], poses[i], None)
         return fallback.braking(vehicle, situation, steps, step_s, first_s)
 
@@ -67,21 +80,29 @@ class DynamicWindow:
         reach = at_s[:, None] * vehicle.rate_max
         return np.asarray(last + np.clip(target - last, -reach, reach))
 
-    def _costs(self, situation: Situation, reference: FloatArray, arcs: FloatArray, poses: FloatArray) -> FloatArray:
-        """(arcs,) mean distance from the reference, missing speed and nearness to obstacles."""
+    def _spare_m(self, situation: Situation, poses: FloatArray) -> FloatArray:
+        """(arcs, N) what is left at each stage of the distance to keep from the nearest obstacle: negative
+        is too close, infinite without obstacles."""
+        seen = situation.obstacles
+        if not len(seen):
+            return np.full((len(poses), poses.shape[1] - 1), np.inf)
+        gap = poses[:, None, :, :2] - seen.position_m
+        surface = np.hypot(gap[..., 0], gap[..., 1]) - seen.radius_m[:, None] - self._vehicle.body_radius_m
+        required = required_m(surface[0, :, 0], self._planning.safety_distance_m)
+        return np.asarray((surface[:, :, 1:] - required[:, None]).min(axis=1))
+
+    def _costs(self, reference: FloatArray, arcs: FloatArray, poses: FloatArray, spare_m: FloatArray) -> FloatArray:
+        """(arcs,) mean distance from the reference, missing speed, change of mind, nearness to obstacles."""
         off = poses[:, 1:, :2] - reference[1:, :2]
         cost = np.hypot(off[..., 0], off[..., 1]).mean(axis=1)
         cost += SPEED_WEIGHT * np.abs(reference[1:, 3] - arcs[..., 0]).mean(axis=1)
-        seen = situation.obstacles
-        if not len(seen):
-            return np.asarray(cost)
-        gap = poses[:, None, 1:, :2] - seen.position_m[:, 1:]
-        surface = np.hypot(gap[..., 0], gap[..., 1]) - seen.radius_m[:, None] - self._vehicle.body_radius_m
-        nearest = surface.min(axis=1) - self._planning.safety_distance_m
-        near = np.clip(1.0 - nearest / NEAR_M, 0.0, 2.0)
-        return np.asarray(cost + CLEARANCE_WEIGHT * (near**2).mean(axis=1))
+        cost += SWITCH_WEIGHT * np.abs(arcs[:, -1, 1] - self._turn)
+        near = np.clip(1.0 - spare_m / NEAR_M, 0.0, 1.0)
+        conflict = np.maximum.accumulate(spare_m < -TOUCH_M, axis=1)
+        cost += CLEARANCE_WEIGHT * (near**2).mean(axis=1) + CONFLICT_WEIGHT * conflict.mean(axis=1)
+        return np.asarray(cost)
 
-    def _admissible(self, situation: Situation, inputs: FloatArray) -> bool:
+    def _can_stop(self, situation: Situation, inputs: FloatArray) -> bool:
         """Whether one stage with `inputs` (2,) and then braking keeps clear until the vehicle stands; what
         comes at it then is not its doing."""
         seen = situation.obstacles

@@ -76,8 +76,8 @@ def test_adaptive_gamma_passes_a_big_obstacle(name: str, case: str) -> None:
 
 
 def test_planners_that_predict_avoid_what_comes_and_crosses() -> None:
-    for name in ("d-cbf-mpc", "ad-cbf-mpc", "od-ad-cbf-mpc"):
-        for case in ("oncoming", "crossing"):
+    for name in ("d-cbf-mpc", "ad-cbf-mpc", "od-ad-cbf-mpc", "dwa"):
+        for case in ("oncoming", "crossing", "overtaking"):
             assert course(name, case).arrived, (name, case)
 
 
