@@ -5,7 +5,8 @@
 They run on the sample log, and on the street log (kitti0000_a.mcap) where the folder named by
 ADCBF_REAL_DATA, or ../shared/data, has it. Tables go to the terminal as Markdown, figures to
 benchmarks/results/*.json. Beside speed and memory there is one table on segmentation, so that nothing is
-gained by clustering worse. The paper's Table I is `benchmarks/table1.py`: it measures errors, not speed.
+gained by clustering worse. The paper's Table I is `benchmarks/table1.py`, recorded pedestrians are
+`benchmarks/pedestrians.py`: they measure errors and driving, not speed.
 """
 
 from __future__ import annotations
@@ -64,6 +65,8 @@ def main() -> None:
     print(run("startup.py", "--json", str(results / "startup.json")), flush=True)
     print("## Filters and horizon\n")
     print(tracking(results), flush=True)
+    print("## Planning\n")
+    print(run("planning.py", "--json", str(results / "planning.json")), flush=True)
     print(f"## {measuring.SAMPLE_LOG.name}\n")
     on_log(measuring.SAMPLE_LOG, results, 45)
     print("### segmentation\n")

@@ -1,6 +1,6 @@
 """How long one planning step takes: every solver on the same instances, the whole planner, a whole replay.
 
-    python benchmarks/planning.py [--instances 100] [--seeds 12] [--json FILE]
+    python benchmarks/planning.py [--instances 100] [--seeds 10] [--json FILE]
 
 Instances are those of a closed loop: the default planner drives through seeded crowds (`crowds.py`) of
 standing and walking circles, and asks its solver at each tick. Kept are ticks with exactly n obstacles in
@@ -17,7 +17,11 @@ from __future__ import annotations
 
 import measuring  # isort: skip - it limits the threads before numpy is imported
 import argparse
+import contextlib
+import io
+import json
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -31,6 +35,7 @@ from typing import Any
 import numpy as np
 from crowds import PLANNER, Tick, drive
 
+from adcbf_cli.app import app
 from adcbf_cli.core.config import Config
 from adcbf_cli.core.planning.merit import barrier_rows, merit
 from adcbf_cli.core.planning.ocp import Ocp
@@ -66,6 +71,8 @@ SOLVERS: dict[str, tuple[str, int, int]] = {
 """By the name of the row: solver, fewest and most iterations (the oracles run until they have converged)."""
 
 ORACLE, PLAIN_ORACLE = "ipopt", "ipopt, its default mu_init"
+
+SAMPLE_PREDICTIONS = ["predict", str(measuring.SAMPLE_LOG), "--range", "12"]
 
 FIRST_SOLVE = """
 from time import perf_counter
@@ -129,7 +136,7 @@ def instances(obstacles: int, seeds: int, wanted: int) -> tuple[Problem, list[Ti
 
 
 def timed(work: Callable[[], Any]) -> tuple[float, Any]:
-    """Milliseconds of processor time, and what `work` gives."""
+    """Milliseconds of this thread's processor time, and what `work` gives."""
     begin = thread_time()
     result = work()
     return 1e3 * (thread_time() - begin), result
@@ -250,6 +257,26 @@ def first_solves() -> dict[str, float]:
     return found
 
 
+def replay_figures(repeats: int = 3) -> dict[str, float]:
+    """`adcbf replay` of the sample log by the default planner, predictions being there: processor seconds of
+    the whole command in a process that has run it before, and the seconds that it drives."""
+    with tempfile.TemporaryDirectory() as folder:
+        run = str(Path(folder, "sample.adcbf"))
+        command([*SAMPLE_PREDICTIONS, "-o", run])
+        command(["replay", run, "-p", PLANNER])
+        spent = [timed(lambda: command(["replay", run, "-p", PLANNER]))[0] / 1e3 for _ in range(repeats)]
+        report = json.loads(Path(run, "replay", "report.json").read_text(encoding="utf-8"))
+    metrics = report["comparison"]["planners"][PLANNER]["metrics"]
+    return {"driven_s": metrics["nav_time_s"]["value"], "replay_s": statistics.median(spent)}
+
+
+def command(words: list[str]) -> None:
+    """Runs `adcbf` in this process, silently."""
+    silence = io.StringIO()
+    with contextlib.redirect_stdout(silence), contextlib.redirect_stderr(silence):
+        app(words, standalone_mode=False)
+
+
 def measure(seeds: int, wanted: int) -> dict[str, Any]:
     return {
         "benchmark": "planning",
@@ -258,6 +285,7 @@ def measure(seeds: int, wanted: int) -> dict[str, Any]:
         "solvers": [solver_figures(obstacles, seeds, wanted) for obstacles in OBSTACLES],
         "planner": planner_figures(min(seeds, 4)),
         "first_solve": first_solves(),
+        "replay": replay_figures(),
         "libraries": {name: version(name) for name in ("casadi", "numba", "piqp")},
         "machine": measuring.machine(),
     }
@@ -294,7 +322,7 @@ def table(result: dict[str, Any]) -> str:
     """The result as Markdown."""
     parts = [", ".join(f"{name} {number}" for name, number in result["libraries"].items()) + ".\n"]
     parts += [solvers_table(found) for found in result["solvers"]]
-    planner, first = result["planner"], result["first_solve"]
+    planner, first, drive = result["planner"], result["first_solve"], result["replay"]
     rows = [[name, *(planner[key][rank] for rank in ("median", "p95", "max"))] for name, key in _PLANNER_ROWS]
     parts.append(f"A whole planning step, {planner['steps']:,} of them:\n")
     parts.append(measuring.markdown(["", "p50 ms", "p95 ms", "max ms"], rows) + "\n")
@@ -302,6 +330,10 @@ def table(result: dict[str, Any]) -> str:
         f"To the first plan of a process: {first['compiling_s']:.1f} s where the solver has to be compiled (once an "
         f"installation), {first['loading_s']:.2f} s where it is loaded; its imports before that take "
         f"{first['imports_s']:.2f} s.\n"
+    )
+    parts.append(
+        f"`adcbf replay` of the sample log, {drive['driven_s']:.1f} s at {Config().planning.rate_hz:g} Hz: "
+        f"{drive['replay_s']:.2f} s, {drive['driven_s'] / drive['replay_s']:.1f} times as fast as it is driven.\n"
     )
     return "\n".join(parts)
 
@@ -312,7 +344,7 @@ _PLANNER_ROWS = (("`MpcPlanner.plan`, two starts", "whole"), ("the two solves", 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--instances", type=int, default=100, metavar="N", help="of each number of obstacles, at most")
-    parser.add_argument("--seeds", type=int, default=12, metavar="N", help="crowds, from seed 0 on")
+    parser.add_argument("--seeds", type=int, default=10, metavar="N", help="crowds, from seed 0 on")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures here")
     arguments = parser.parse_args()
     measuring.pin_to_one_core()
