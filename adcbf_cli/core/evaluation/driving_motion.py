@@ -59,16 +59,16 @@ def path_length_m(evidence: Evidence) -> float | None:
 
 
 def min_dist_m(evidence: Evidence) -> float | None:
-    return lowest(evidence.drive.clearance_m[evidence.drive.recorded])
+    return lowest(evidence.drive.clearance_m)
 
 
 def min_ttc_s(evidence: Evidence) -> float | None:
-    return lowest(evidence.drive.ttc_s[evidence.drive.recorded])
+    return lowest(evidence.drive.ttc_s)
 
 
 def time_below_clearance_s(evidence: Evidence) -> float | None:
     drive = evidence.drive
-    judged = drive.recorded & np.isfinite(drive.clearance_m)
+    judged = np.isfinite(drive.clearance_m)
     if not judged.any():
         return None
     with np.errstate(invalid="ignore"):
@@ -79,7 +79,7 @@ def vel_var(evidence: Evidence) -> float | None:
     """Population variance of the applied speed."""
     drive = evidence.drive
     with np.errstate(invalid="ignore"):
-        near = drive.recorded & (drive.clearance_m < evidence.replay.near_m)
+        near = drive.clearance_m < evidence.replay.near_m
     speed = known(drive.inputs[near, 0])
     return float(speed.var()) if speed.size >= 2 else None
 
@@ -145,7 +145,7 @@ def after_recording_s(evidence: Evidence) -> float | None:
     return float(evidence.held_s[~evidence.drive.recorded].sum())
 
 
-_RECORDED = "ticks within the recording"
+_KNOWN = "ticks with a known obstacle"
 _SMOOTH = "ticks with 0.5 s of driving on both sides"
 
 MOTION: tuple[DriveMetric, ...] = (
@@ -166,7 +166,7 @@ MOTION: tuple[DriveMetric, ...] = (
         "m",
         "higher",
         _DRIVEN,
-        _RECORDED,
+        _KNOWN,
         "Min-dist: smallest surface distance between the vehicle's circle and a true obstacle; negative: overlap",
         min_dist_m,
     ),
@@ -175,7 +175,7 @@ MOTION: tuple[DriveMetric, ...] = (
         "m2/s2",
         "lower",
         _DRIVEN,
-        f"{_RECORDED} with an obstacle nearer than replay.near_m, two at least",
+        f"{_KNOWN} with an obstacle nearer than replay.near_m, two at least",
         "Vel-var: population variance of the applied speed",
         vel_var,
     ),
@@ -193,7 +193,7 @@ MOTION: tuple[DriveMetric, ...] = (
         "s",
         "lower",
         _DRIVEN,
-        _RECORDED,
+        _KNOWN,
         "time with a true obstacle nearer than replay.clearance_m, surface to surface",
         time_below_clearance_s,
     ),
@@ -202,7 +202,7 @@ MOTION: tuple[DriveMetric, ...] = (
         "s",
         "higher",
         _DRIVEN,
-        _RECORDED,
+        _KNOWN,
         "smallest time to collision at constant velocities; null where nothing was ever on course",
         min_ttc_s,
     ),

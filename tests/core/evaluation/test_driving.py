@@ -58,12 +58,13 @@ def test_a_failed_drive_has_no_time_and_no_length(result: Result) -> None:
     assert score(drive, result.value) == 1.0
 
 
-def test_clearance_is_judged_within_the_recording_only() -> None:
+def test_clearance_is_judged_wherever_it_is_known() -> None:
+    """After the recording's end too: what stands there still stands."""
     drive = drive_of(
         [1.0] * 6,
-        clearance_m=np.array([NAN, 0.5, 0.1, -0.05, 0.15, -9.0]),
-        ttc_s=np.array([NAN, 4.0, 2.5, 3.0, NAN, 0.1]),
-        recorded=np.array([True] * 5 + [False]),
+        clearance_m=np.array([NAN, 0.5, 0.1, -0.05, 0.15, NAN]),
+        ttc_s=np.array([NAN, 4.0, 2.5, 3.0, NAN, NAN]),
+        recorded=np.array([True] * 3 + [False] * 3),
     )
     assert score(drive, "min_dist_m") == -0.05
     assert score(drive, "min_ttc_s") == 2.5
