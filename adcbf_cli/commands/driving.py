@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import json
 import re
+import threading
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
     from adcbf_cli.core.vehicles.vehicle import Vehicle
 
 _MOST_SEEDS = 10_000
+_SOON_S = 2.0
 _COUNTERFACTUAL = (
     "Counterfactual: the recorded obstacles moved as they did and would not have reacted to this vehicle; what its "
     "own sensor would have seen is taken from the log's."
@@ -193,6 +196,7 @@ def _set_up(
     from adcbf_cli.commands.stages import run_stages
     from adcbf_cli.core.planning.presets import make_planner
     from adcbf_cli.core.replay.world_sources import world_of
+    from adcbf_cli.core.types import Notes
     from adcbf_cli.core.vehicles.vehicle import Vehicle
     from adcbf_cli.io.logs import is_object_list
     from adcbf_cli.io.tables import read_tracks
@@ -201,8 +205,9 @@ def _set_up(
     spec = driving.truth or (str(job.log) if is_object_list(job.log) else None)
     place_truth = None if spec is None else read_truth(spec, job.log)
     vehicle = Vehicle.from_config(job.config.vehicle)
-    for name in names:  # an unusable setting is told before the stages run
-        make_planner(name, vehicle, job.config.planning, _no_notes())
+    with _patience("compiling the solver for this machine; this happens once"):
+        for name in names:  # an unusable setting is told before the stages run
+            make_planner(name, vehicle, job.config.planning, Notes())
     outcome = run_stages(job, "predict", shared.force)
     if not outcome.manifest.stages["predict"].rows.get("predictions"):
         raise AdcbfError(
@@ -228,10 +233,16 @@ def _speed(config: Config, log_path: LogPath, kind: str) -> float:
     return reference_speed(config)
 
 
-def _no_notes() -> Notes:
-    from adcbf_cli.core.types import Notes
-
-    return Notes()
+@contextmanager
+def _patience(text: str) -> Iterator[None]:
+    """Says `text` where the block takes longer than a person expects."""
+    timer = threading.Timer(_SOON_S, say, (text,))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def _log_path(job: Job, outcome: Outcome) -> LogPath:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from adcbf_cli.core.planning.problem import Instance, Problem, Solution, SolverStatus
 from adcbf_cli.core.planning.solvers import sqp_loop
 from adcbf_cli.core.planning.solvers.packing import empty_qp, failed, is_finite, pack_model, pack_scene, starting
@@ -11,7 +13,7 @@ from adcbf_cli.core.types import FloatArray
 class SqpSolver:
     """At least `min_iterations`, at most `max_iterations`; 1 and 1 is a real-time iteration.
 
-    The first solve of a new installation compiles for a while; later ones load the result.
+    Building the first one of a new installation compiles for a while; later ones load the result.
     """
 
     def __init__(self, problem: Problem, min_iterations: int, max_iterations: int) -> None:
@@ -20,6 +22,7 @@ class SqpSolver:
         self._solve = sqp_loop.entry()
         self._min_iterations = min_iterations
         self._max_iterations = max_iterations
+        self.solve(_anything(problem), np.zeros((problem.steps, 2)))  # compiled here, not within a deadline
 
     def solve(self, instance: Instance, guess: FloatArray) -> Solution:
         """The best inputs found from `guess` (N, 2); FAILED, and the guess, where numbers are not finite."""
@@ -34,3 +37,17 @@ class SqpSolver:
             return failed(guess)
         status = SolverStatus.CONVERGED if code == sqp_loop.CONVERGED else SolverStatus.ITERATION_LIMIT
         return Solution(inputs, status, iterations, merit)
+
+
+def _anything(problem: Problem) -> Instance:
+    """An instance of no difficulty: at rest, nothing near."""
+    steps = problem.steps
+    return Instance(
+        pose=np.zeros(3),
+        last_inputs=np.zeros(2),
+        reference=np.zeros((steps + 1, 5)),
+        obstacle_m=np.full((1, steps + 1, 2), 1e3),
+        obstacle_radius_m=np.ones(1),
+        keep_out_m=np.ones((1, steps + 1)),
+        gamma=np.ones((1, steps)),
+    )
