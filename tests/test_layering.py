@@ -40,7 +40,10 @@ def test_io_imports_no_commands(path: Path) -> None:
 
 
 def test_help_loads_nothing_heavy() -> None:
-    heavy = ("numpy", "scipy", "sklearn", "filterpy", "open3d", "pyarrow", "rosbags", "mcap", "pydantic", "pandas")
+    heavy = (
+        "numpy", "scipy", "sklearn", "filterpy", "open3d", "pyarrow", "rosbags", "mcap", "pydantic", "pandas",
+        "casadi", "numba", "piqp",
+    )  # fmt: skip
     code = f"import sys, adcbf_cli.app; print([m for m in {heavy} if m in sys.modules])"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert loaded.strip() == "[]"
