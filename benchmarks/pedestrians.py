@@ -1,6 +1,6 @@
 """Planners cross a square full of recorded pedestrians: ETH or UCY annotations through `adcbf replay`.
 
-    python benchmarks/pedestrians.py OBSMAT.txt --fps 15 [--seeds 30] [--way across|along] [--json FILE]
+    python benchmarks/pedestrians.py OBSMAT.txt --fps 15 [--seeds 40] [--way across|along] [--json FILE]
 
 An obsmat.txt has the columns frame, id, x, z, y, vx, vz, vy in metres; frames count at 15 a second in
 seq_eth and at 25 in the other recordings. It becomes an object list in a temporary folder, and the
@@ -176,7 +176,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("obsmat", type=Path)
     parser.add_argument("--fps", type=float, required=True, help="video frames a second: 15 in seq_eth, else 25")
-    parser.add_argument("--seeds", type=int, default=30, metavar="N")
+    parser.add_argument("--seeds", type=int, default=40, metavar="N")
     parser.add_argument("--way", choices=("across", "along"), default="across")
     parser.add_argument("--planner", action="append", metavar="NAME", help="repeatable; default: all")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the figures here")
