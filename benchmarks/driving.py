@@ -60,17 +60,15 @@ KITTI = ("kitti0000/kitti0000_a.mcap", ("--range", "20"), "kitti0000/kitti0000_a
 
 def cases() -> list[Case]:
     log, options, truth = SAMPLE
-    bag, posed = DATMO
+    bag, posed, other = DATMO
     street, far, labels = KITTI
     car, scaled = "street_car.yaml", "scaled_car.yaml"
     return [
         Case("sample, open loop", "plan", log, options, truth, own=True),
         Case("sample, the log's own way", "replay", log, (*options, *SEEDS), truth, own=True),
         Case("sample, across the scene", "replay", log, (*options, "--goal", "14,-3", *SEEDS), truth, own=True),
-        Case("datmo overtakes, open loop", "plan", bag, posed, "topic:/red_pose", scaled),
-        Case(
-            "datmo overtakes, closed loop", "replay", bag, (*posed, "--speed", "1", *SEEDS), "topic:/red_pose", scaled
-        ),
+        Case("datmo overtakes, open loop", "plan", bag, posed, other, scaled),
+        Case("datmo overtakes, closed loop", "replay", bag, (*posed, "--speed", "1", *SEEDS), other, scaled),
         Case("kitti0000_a, open loop", "plan", street, far, labels, car),
         Case("kitti0000_a, closed loop", "replay", street, (*far, "--speed", "4", *SEEDS), labels, car),
     ]
