@@ -49,7 +49,7 @@ def test_a_drive_goes_along_the_path_and_asks_about_no_more_than_allowed(
 ) -> None:
     monkeypatch.setattr(script, "LONGEST_S", 8.0)
     config = Config.model_validate({"planning": {"max_obstacles": 3, "solver": "piqp", "rate_hz": 5.0}})
-    problem, ticks = script.drive(0, 9, config)
+    problem, ticks = script.drive(0, 20, config)
     x = [float(tick.situation.pose[0]) for tick in ticks]
     assert x[-1] > x[0] + 3.0
     assert max(len(tick.instance) for tick in ticks) == 3
