@@ -46,7 +46,7 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]
     for row in rows:
         table.add_row(*row)
     # Piped output keeps its full width: folding at 80 columns would break scripts that read it.
-    Console(width=None if sys.stdout.isatty() else 160).print(table)
+    Console(width=None if sys.stdout.isatty() else 240).print(table)
 
 
 def progress(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
