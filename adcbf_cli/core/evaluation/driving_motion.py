@@ -175,7 +175,7 @@ MOTION: tuple[DriveMetric, ...] = (
         "m2/s2",
         "lower",
         _DRIVEN,
-        f"{_KNOWN} with an obstacle nearer than replay.near_m, two at least",
+        "ticks with an obstacle nearer than replay.near_m, two at least",
         "Vel-var: population variance of the applied speed",
         vel_var,
     ),
