@@ -96,8 +96,10 @@ class ReferencePath:
             speed.append(min(self.speed_mps, math.sqrt(2 * brake_mps2 * max(length_m - here_m, 0.0))))
             here_m = min(here_m + speed[-1] * step_s, length_m)
         places = self.at(np.array(along))
-        yaw = np.unwrap(places[:, 2])
-        yaw += 2 * np.pi * np.round((pose[2] - yaw[0]) / (2 * np.pi))
+        yaw = places[:, 2]
+        if np.abs(np.diff(yaw)).max(initial=0.0) > np.pi:  # unwrapping is slow, and seldom needed
+            yaw = np.unwrap(yaw)
+        yaw = yaw + 2 * np.pi * np.round((pose[2] - yaw[0]) / (2 * np.pi))
         return np.column_stack([places[:, :2], yaw, speed, np.zeros(steps + 1)])
 
 

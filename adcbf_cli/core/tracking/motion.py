@@ -76,11 +76,12 @@ def build_motion_model(config: TrackingConfig, planar: bool) -> MotionModel:
 
 def _transition_matrix(derivatives: int, dt: float) -> FloatArray:
     """Polynomial motion of three independent axes, positions first: (3 d, 3 d)."""
-    one_axis = np.eye(derivatives)
-    one_axis[np.arange(derivatives - 1), np.arange(1, derivatives)] = dt
+    matrix = np.eye(3 * derivatives)
+    rows = np.arange(3 * (derivatives - 1))
+    matrix[rows, rows + 3] = dt
     if derivatives == 3:
-        one_axis[0, 2] = 0.5 * dt * dt
-    return np.asarray(np.kron(one_axis, np.eye(3)), dtype=np.float64)
+        matrix[rows[:3], rows[:3] + 6] = 0.5 * dt * dt
+    return matrix
 
 
 def _white_noise(derivatives: int, dt: float, density: FloatArray) -> FloatArray:
