@@ -15,8 +15,8 @@ from adcbf_cli.core.config import EvaluationConfig
 from adcbf_cli.core.evaluation.blocks import block_keys
 from adcbf_cli.core.evaluation.forecasts import ForecastScore, Reference, target_stamps
 from adcbf_cli.core.evaluation.lives import reported
-from adcbf_cli.core.evaluation.paths import EDGE_TOLERANCE_NS, Paths
 from adcbf_cli.core.evaluation.report import Metric
+from adcbf_cli.core.paths import EDGE_TOLERANCE_NS, Paths
 from adcbf_cli.core.types import NO_ID, FloatArray, IntArray, Predictions, Tracks
 
 ALL = Reference("later_seen", "later seen", {})

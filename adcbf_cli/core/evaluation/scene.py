@@ -13,7 +13,7 @@ from adcbf_cli.core.config import EvaluationConfig
 from adcbf_cli.core.errors import AdcbfError
 from adcbf_cli.core.evaluation.blocks import block_keys
 from adcbf_cli.core.evaluation.matching import centre_distances, inside_boxes
-from adcbf_cli.core.evaluation.paths import EDGE_TOLERANCE_NS, Paths
+from adcbf_cli.core.paths import EDGE_TOLERANCE_NS, Paths
 from adcbf_cli.core.types import BoolArray, FloatArray, IntArray, Notes, Truth
 
 _X, _YAW, _LENGTH, _WIDTH = 0, 3, 4, 5

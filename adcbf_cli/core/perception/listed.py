@@ -12,8 +12,8 @@ import numpy as np
 
 from adcbf_cli.core.config import ReadConfig
 from adcbf_cli.core.errors import AdcbfError
-from adcbf_cli.core.evaluation.paths import Paths
 from adcbf_cli.core.frames import identity, invert, transform_points
+from adcbf_cli.core.paths import Paths
 from adcbf_cli.core.types import NO_ID, Clusters, FloatArray, PointCounts, Truth
 
 _STANDOFF_M = 5.0

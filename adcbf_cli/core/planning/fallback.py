@@ -21,26 +21,6 @@ ESCAPE = 0.75
 """Share of the distance left that a way out of the safety margin keeps."""
 
 
-def reachable(vehicle: Vehicle, wanted: FloatArray, last: FloatArray, step_s: float, first_step_s: float) -> FloatArray:
-    """Inputs (N, 2) nearest to `wanted` (N, 2), stage by stage, within bounds and rates from `last` (2,).
-
-    As `Vehicle.limited` for each stage in turn; plain floats, since that is ten times as fast as N
-    numpy calls. `wanted` must be finite.
-    """
-    inputs = np.empty((len(wanted), 2))
-    for i in range(2):
-        low, high, value = float(vehicle.input_min[i]), float(vehicle.input_max[i]), float(last[i])
-        reach = float(vehicle.rate_max[i]) * first_step_s
-        column = []
-        for aim in wanted[:, i].tolist():
-            inside = min(max(aim, low), high)
-            value = min(max(inside, value - reach), value + reach)
-            column.append(value)
-            reach = float(vehicle.rate_max[i]) * step_s
-        inputs[:, i] = column
-    return inputs
-
-
 def surface_m(poses: FloatArray, centre_m: FloatArray, radius_m: FloatArray, body_radius_m: float) -> FloatArray:
     """(n, T) distance between the vehicle's circle at poses (T, 3) and obstacles: centres (n, T, 2),
     radii (n,); negative where they overlap."""

@@ -128,7 +128,7 @@ class MpcPlanner:
         later = starts.shifted(self._memory.inputs, elapsed_s, problem.step_s)
         if later is None:
             return None
-        return fallback.reachable(problem.vehicle, later, situation.inputs, problem.step_s, problem.first_step_s)
+        return problem.vehicle.within_limits(later, situation.inputs, problem.step_s, problem.first_step_s)
 
     def _frozen_gamma(self, columns: Columns, pose: FloatArray, guess: FloatArray) -> FloatArray | None:
         """(n, N) gamma along the first start, where it is not a function inside the problem."""
@@ -152,7 +152,7 @@ class MpcPlanner:
     def _guarded(self, inputs: FloatArray, last: FloatArray) -> FloatArray:
         """The solver's inputs within the vehicle's limits: they are already, and it is counted if not."""
         problem = self._problem
-        limited = fallback.reachable(problem.vehicle, inputs, last, problem.step_s, problem.first_step_s)
+        limited = problem.vehicle.within_limits(inputs, last, problem.step_s, problem.first_step_s)
         if np.abs(limited - inputs).max() > 1e-9:
             self._notes.count("plans out of the vehicle's limits")
         return limited

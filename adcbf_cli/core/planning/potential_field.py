@@ -49,9 +49,8 @@ class PotentialField:
         if math.hypot(*force) < MIN_FORCE:
             return fallback.braking(vehicle, situation, planning.steps, planning.step_s, first_s)
         wanted = self._inputs(situation.pose, force, float(reference[1, 3]))
-        inputs = fallback.reachable(
-            vehicle, np.tile(wanted, (planning.steps, 1)), situation.inputs, planning.step_s, first_s
-        )
+        held = np.tile(wanted, (planning.steps, 1))
+        inputs = vehicle.within_limits(held, situation.inputs, planning.step_s, first_s)
         return Plan(Outcome.SOLVED, inputs, vehicle.roll_out(situation.pose, inputs, planning.step_s), None)
 
     def _force(self, situation: Situation, aim_m: FloatArray) -> FloatArray:

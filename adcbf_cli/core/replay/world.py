@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from adcbf_cli.core.evaluation.paths import Paths
+from adcbf_cli.core.paths import Paths
 from adcbf_cli.core.types import NO_ID, BoolArray, FloatArray, IntArray
 
 MAX_DISCS = 64

@@ -17,9 +17,9 @@ from adcbf_cli.core.evaluation.formulas import (
     nees_bounds,
     rotate,
 )
-from adcbf_cli.core.evaluation.paths import Paths
 from adcbf_cli.core.evaluation.report import Metric, Report
 from adcbf_cli.core.evaluation.thresholds import check_names, missed, parse_threshold
+from adcbf_cli.core.paths import Paths
 
 SECOND = 1_000_000_000
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from adcbf_cli.core.config import PlanningConfig, VehicleConfig
 from adcbf_cli.core.planning import dynamic_window, fallback, pursuit
@@ -38,20 +36,6 @@ def planned(name: str, at: Situation, vehicle: Vehicle = UNICYCLE) -> Plan:
 
 def case(name: str) -> Case:
     return next(found for found in CASES if found.name == name)
-
-
-@settings(max_examples=100, deadline=None)
-@given(
-    wanted=st.lists(st.tuples(st.floats(-9, 9), st.floats(-9, 9)), min_size=1, max_size=12),
-    last=st.tuples(st.floats(-2, 3), st.floats(-3, 3)),
-)
-def test_reachable_is_limited_stage_by_stage(wanted: list[tuple[float, float]], last: tuple[float, float]) -> None:
-    got = fallback.reachable(UNICYCLE, np.array(wanted), np.array(last), 0.1, 0.03)
-    before, period = np.array(last), 0.03
-    for stage, aim in enumerate(wanted):
-        before = UNICYCLE.limited(np.array(aim), before, period)
-        np.testing.assert_allclose(got[stage], before, atol=1e-12)
-        period = 0.1
 
 
 def test_surface_distance_by_hand() -> None:
