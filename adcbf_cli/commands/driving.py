@@ -8,7 +8,6 @@ log, CSV, topic -> route --------+
 from __future__ import annotations
 
 import json
-import re
 import threading
 import time
 from collections.abc import Iterator, Sequence
@@ -20,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import typer
 
-from adcbf_cli.commands.options import Driving, Shared
+from adcbf_cli.commands.options import Driving, Shared, parse_seeds
 from adcbf_cli.commands.terminal import print_json, print_table, progress, say, show_notes
 from adcbf_cli.core.errors import EXIT_THRESHOLD, AdcbfError, UsageError
 from adcbf_cli.io.run_folder import DRIVING
@@ -39,7 +38,6 @@ if TYPE_CHECKING:
     from adcbf_cli.core.types import FloatArray, Notes, Predictions
     from adcbf_cli.core.vehicles.vehicle import Vehicle
 
-_MOST_SEEDS = 10_000
 _SOON_S = 2.0
 _COUNTERFACTUAL = (
     "Counterfactual: the recorded obstacles moved as they did and would not have reacted to this vehicle; what its "
@@ -77,8 +75,6 @@ def run_open_loop(shared: Shared, driving: Driving) -> None:
     """`adcbf plan`."""
     job, thresholds, names = _prepare(shared, driving, "plan")
     setting = _set_up(job, shared, driving, "plan", names)
-    if not setting.log_path.known:
-        raise AdcbfError(f"{job.log}: does not say where its vehicle was, so there is no state to plan from (--pose)")
     from adcbf_cli.core.replay.open_loop import logged_drive, plan_along
 
     drives = plan_along(
@@ -99,13 +95,16 @@ def run_open_loop(shared: Shared, driving: Driving) -> None:
 def run_replay(shared: Shared, driving: Driving, start: str | None, seeds: str) -> None:
     """`adcbf replay`."""
     numbers = parse_seeds(seeds)
-    job, thresholds, names = _prepare(shared, driving, "replay")
     place = None if start is None else parse_numbers("--start", start, (2, 3))
+    job, thresholds, names = _prepare(shared, driving, "replay")
     setting = _set_up(job, shared, driving, "replay", names, place)
     from adcbf_cli.core.replay.closed_loop import replay
-    from adcbf_cli.core.replay.open_loop import logged_drive
-    from adcbf_cli.core.replay.routes import entries_for
+    from adcbf_cli.core.replay.open_loop import LOGGED, logged_drive
+    from adcbf_cli.core.replay.routes import check_duration, entries_for
 
+    check_duration(setting.route, setting.config)
+    if driving.against == LOGGED and not _follows_log(setting, driving):
+        raise UsageError(f"--against {LOGGED}: the log's own vehicle drove no such way, so there is nothing to compare")
     first = _first_start(setting, place, driving)
     entries = entries_for(
         names, numbers, setting.planner, setting.route, first, setting.world, setting.vehicle, setting.config
@@ -128,23 +127,6 @@ def run_replay(shared: Shared, driving: Driving, start: str | None, seeds: str) 
 def _follows_log(setting: _Setting, driving: Driving) -> bool:
     """Whether the route is the way that the log's own vehicle took."""
     return setting.log_path.known and driving.goal is None and driving.reference is None
-
-
-def parse_seeds(text: str) -> tuple[int, ...]:
-    """`0:20` (20 not included), `7`, or `1,4,9`: distinct seeds in the order given. UsageError otherwise."""
-    seeds: list[int] = []
-    for part in text.split(","):
-        match = re.fullmatch(r"\s*(\d{1,9})\s*(?::\s*(\d{1,9})\s*)?", part)
-        if match is None:
-            raise UsageError(f"--seeds {text!r}: expected numbers or ranges such as 0:20 or 1,4,9")
-        first = int(match[1])
-        end = first + 1 if match[2] is None else int(match[2])
-        if end - first > _MOST_SEEDS or len(seeds) > _MOST_SEEDS:
-            raise UsageError(f"--seeds {text!r}: over {_MOST_SEEDS:,} seeds; run them in parts")
-        seeds += range(first, end)
-    if not seeds:
-        raise UsageError(f"--seeds {text!r}: an empty range")
-    return tuple(dict.fromkeys(seeds))
 
 
 def parse_numbers(option: str, text: str, counts: tuple[int, ...]) -> FloatArray:
@@ -172,6 +154,8 @@ def _prepare(shared: Shared, driving: Driving, kind: str) -> tuple[Job, list[Thr
     from adcbf_cli.core.evaluation.comparison import metric_names
     from adcbf_cli.core.evaluation.driving import LOGGED
     from adcbf_cli.core.evaluation.thresholds import check_names, parse_threshold
+    from adcbf_cli.core.replay.routes import reference_speed
+    from adcbf_cli.io.reference import check_reference
 
     names = planner_names(driving.planner)
     thresholds = [parse_threshold(text) for text in driving.fail_on or []]
@@ -180,7 +164,13 @@ def _prepare(shared: Shared, driving: Driving, kind: str) -> tuple[Job, list[Thr
         raise UsageError(f"--against {driving.against}: not among the planners that run: {', '.join(names)}")
     if driving.goal is not None and driving.reference is not None:
         raise UsageError("--goal and --reference both say where to go; give one")
-    return plan_job(shared, driving.overrides()), thresholds, names
+    if driving.goal is not None:
+        parse_numbers("--goal", driving.goal, (2,))
+    if driving.reference is not None:
+        check_reference(driving.reference)
+    job = plan_job(shared, driving.overrides())
+    reference_speed(job.config)
+    return job, thresholds, names
 
 
 def _set_up(
@@ -202,7 +192,7 @@ def _set_up(
     from adcbf_cli.io.tables import read_tracks
     from adcbf_cli.io.truth import read_truth
 
-    spec = driving.truth or (str(job.log) if is_object_list(job.log) else None)
+    spec = str(job.log) if driving.truth is None and is_object_list(job.log) else driving.truth
     place_truth = None if spec is None else read_truth(spec, job.log)
     vehicle = Vehicle.from_config(job.config.vehicle)
     with _patience("compiling the solver for this machine; this happens once"):
@@ -217,7 +207,7 @@ def _set_up(
     notes = outcome.notes
     truth = None if place_truth is None else placed_truth(place_truth, job, outcome, notes)
     world, world_source = world_of(truth, read_tracks(outcome.folder.path), job.config)
-    log_path = _log_path(job, outcome)
+    log_path = _log_path(job, outcome, kind)
     frame = outcome.manifest.selection.get("world_frame")
     route = _route(job, driving, log_path, world, frame, start, _speed(job.config, log_path, kind))
     return _Setting(outcome, job.config, vehicle, world, world_source, log_path, route, names, notes)
@@ -245,14 +235,17 @@ def _patience(text: str) -> Iterator[None]:
         timer.cancel()
 
 
-def _log_path(job: Job, outcome: Outcome) -> LogPath:
-    """Where the log's vehicle was; nowhere, for an object list."""
+def _log_path(job: Job, outcome: Outcome, kind: str) -> LogPath:
+    """Where the log's vehicle was, if it says so: open loop has no state to plan from else."""
     from adcbf_cli.core.replay.log_path import LogPath
-    from adcbf_cli.io.logs import is_object_list
     from adcbf_cli.io.tables import read_clusters
 
-    frames = read_clusters(outcome.folder.path)
-    return LogPath.nowhere(frames) if is_object_list(job.log) else LogPath.from_frames(frames)
+    path = LogPath.from_frames(read_clusters(outcome.folder.path))
+    if kind == "plan" and not path.known:
+        raise UsageError(
+            f"{job.log}: no vehicle drove here, as far as the log says (--pose): there is no state to plan from"
+        )
+    return path
 
 
 def _route(
@@ -282,7 +275,10 @@ def _route(
             raise UsageError(f"{job.log}: no vehicle drove here; --goal needs --start X,Y too")
         return route_between(here[:2], goal, speed_mps, box)
     if not log_path.known:
-        raise UsageError(f"{job.log}: no vehicle drove here; say where from and where to: --start X,Y --goal X,Y")
+        raise UsageError(
+            f"{job.log}: no vehicle drove here, as far as the log says (--pose): "
+            "say where from and where to, --start X,Y --goal X,Y"
+        )
     return route_from_log(log_path, speed_mps)
 
 

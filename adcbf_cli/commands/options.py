@@ -9,12 +9,17 @@ from __future__ import annotations
 import dataclasses
 import functools
 import inspect
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 import typer
+
+from adcbf_cli.core.errors import UsageError
+
+_MOST_SEEDS = 10_000
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document instead of tables.")]
 ConfigFile = Annotated[Path | None, typer.Option("--config", "-c", help="YAML file with settings.")]
@@ -131,6 +136,23 @@ class Driving:
             "planning.solver": self.solver,
             "planning.hard": self.hard or None,
         }
+
+
+def parse_seeds(text: str) -> tuple[int, ...]:
+    """`0:20` (20 not included), `7`, or `1,4,9`: distinct seeds in the order given. UsageError otherwise."""
+    seeds: list[int] = []
+    for part in text.split(","):
+        match = re.fullmatch(r"\s*(\d{1,9})\s*(?::\s*(\d{1,9})\s*)?", part)
+        if match is None:
+            raise UsageError(f"--seeds {text!r}: expected numbers or ranges such as 0:20 or 1,4,9")
+        first = int(match[1])
+        end = first + 1 if match[2] is None else int(match[2])
+        if end - first > _MOST_SEEDS or len(seeds) > _MOST_SEEDS:
+            raise UsageError(f"--seeds {text!r}: over {_MOST_SEEDS:,} seeds; run them in parts")
+        seeds += range(first, end)
+    if not seeds:
+        raise UsageError(f"--seeds {text!r}: an empty range")
+    return tuple(dict.fromkeys(seeds))
 
 
 def shared_options(command: Callable[..., None]) -> Callable[..., None]:

@@ -21,6 +21,15 @@ _MOST_POINTS = 1_000_000
 _MOST_M = 1e7
 
 
+def check_reference(spec: str) -> None:
+    """UsageError where `spec` can be no reference path, told before long work."""
+    name = spec.removeprefix(TOPIC_PREFIX)
+    if not name or (name == spec and not Path(spec).is_file()):
+        raise UsageError(
+            f"--reference {spec!r}: there is no such file; give a CSV, or topic:/name of a Path in the log"
+        )
+
+
 def read_reference(spec: str, log: Path, world_frame: str | None) -> FloatArray:
     """(m, 2) x and y in the world frame from `spec`: a CSV with a header naming x_m and y_m (or x and y), or
     `topic:/name`, of which the first non-empty Path counts.

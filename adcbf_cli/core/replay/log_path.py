@@ -7,6 +7,7 @@ x axis, unless the log shows that the sensor is mounted turned: then it is the d
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Protocol
 
@@ -60,10 +61,10 @@ class LogPath:
     """
 
     def __init__(self, stamp_ns: IntArray, pose: FloatArray) -> None:
-        """AdcbfError where there is no pose. Poses at a stamp that is not later than the one before are left out."""
+        """AdcbfError where there are none. Poses at a stamp that is not later than the one before are left out."""
         stamps = np.asarray(stamp_ns, dtype=np.int64)
         if not len(stamps):
-            raise AdcbfError("the log does not say where its vehicle was: no frame has a known pose (--pose)")
+            raise AdcbfError("the log holds no scan: there is no time to drive in")
         later = np.concatenate([[True], stamps[1:] > np.maximum.accumulate(stamps)[:-1]])
         self.stamp_ns: IntArray = stamps[later]
         self.pose: FloatArray = np.array(pose, dtype=float)[later]
@@ -78,18 +79,13 @@ class LogPath:
 
     @classmethod
     def from_frames(cls, frames: Iterable[Posed]) -> LogPath:
-        """From the records of a log (`Clusters`); frames without a known pose are left out."""
-        known = [(f.stamp_ns, f.world_from_sensor) for f in frames if f.pose_known]
-        stamps = np.array([stamp for stamp, _ in known], dtype=np.int64)
-        matrix = np.array([m for _, m in known]).reshape(-1, 4, 4)
-        yaw = np.arctan2(matrix[:, 1, 0], matrix[:, 0, 0])
-        return cls(stamps, np.column_stack([matrix[:, 0, 3], matrix[:, 1, 3], yaw]))
-
-    @classmethod
-    def nowhere(cls, frames: Iterable[Posed]) -> LogPath:
-        """Of a recording in which nothing drove, such as an object list: its times, with poses that are NaN."""
-        stamps = np.array([frame.stamp_ns for frame in frames], dtype=np.int64)
-        return cls(stamps, np.full((len(stamps), 3), np.nan))
+        """From the records of a log (`Clusters`); frames without a known pose are left out. Where none has one,
+        as in an object list, or where a sensor stood on its own: the log's times, with poses that are NaN."""
+        rows = [(f.stamp_ns, f.pose_known, _planar(f.world_from_sensor)) for f in frames]
+        stamps = np.array([stamp for stamp, _, _ in rows], dtype=np.int64)
+        known = np.array([is_known for _, is_known, _ in rows], dtype=np.bool_)
+        poses = np.array([pose for _, _, pose in rows]).reshape(-1, 3)
+        return cls(stamps[known], poses[known]) if known.any() else cls(stamps, np.full_like(poses, np.nan))
 
     @property
     def mount_note(self) -> str | None:
@@ -140,6 +136,12 @@ class LogPath:
         blended = values[before] + share[:, None] * (values[after] - values[before])
         result: FloatArray = np.where(exact[:, None], values[after], blended)
         return np.where(known[:, None], result, np.nan)
+
+
+def _planar(world_from_sensor: FloatArray) -> tuple[float, float, float]:
+    """x, y, yaw of a pose (4, 4)."""
+    turn = world_from_sensor[:, 0]
+    return float(world_from_sensor[0, 3]), float(world_from_sensor[1, 3]), math.atan2(turn[1], turn[0])
 
 
 def inputs_of(motion: FloatArray, vehicle: Vehicle) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 from adcbf_cli.core.config import Config
 from adcbf_cli.core.errors import AdcbfError, UsageError
 from adcbf_cli.core.planning.planner import Planner
-from adcbf_cli.core.planning.reference import ReferencePath
+from adcbf_cli.core.planning.reference import MIN_SPACING_M, ReferencePath
 from adcbf_cli.core.replay.log_path import LogPath
 from adcbf_cli.core.replay.world import RecordedWorld
 from adcbf_cli.core.types import FloatArray
@@ -26,6 +26,9 @@ ROUTE_SPACING_M = 0.1
 """Points of a logged path closer than this say more about the pose's noise than about the path."""
 
 MAX_DRAWS = 100
+
+MOST_STEPS = 1_000_000
+"""Planning steps of one drive, at most: some hours of computing, and over nine hours of driving at 30 Hz."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +69,18 @@ def reference_speed(config: Config) -> float:
     return wanted
 
 
+def check_duration(path: ReferencePath, config: Config) -> None:
+    """UsageError where a drive that never arrives would go on for more than MOST_STEPS."""
+    factor = config.replay.timeout_factor
+    limit_s = factor * path.length_m / path.speed_mps
+    if limit_s * config.planning.rate_hz > MOST_STEPS:
+        raise UsageError(
+            f"{path.length_m:.1f} m at {path.speed_mps:g} m/s, given {factor:g} times as long "
+            f"(replay.timeout_factor), are {limit_s:.3g} s: over {MOST_STEPS:,} planning steps a drive; "
+            "take a higher --speed, or a lower planning.rate_hz"
+        )
+
+
 def logged_speed(log_path: LogPath) -> float:
     """The mean speed, m/s, at which the log's vehicle moved, where it did; the paper's where it never did."""
     moving = log_path.speed_mps[np.abs(np.nan_to_num(log_path.speed_mps)) > MOVING_MPS]
@@ -83,9 +98,11 @@ def route_from_log(log_path: LogPath, speed_mps: float) -> ReferencePath:
 
 
 def route_between(start_m: FloatArray, goal_m: FloatArray, speed_mps: float, box: MapBox) -> ReferencePath:
-    """The straight line between two points (2,). UsageError where one lies outside the map."""
+    """The straight line between two points (2,). UsageError where one lies outside the map, or both are one."""
     box.check("start", start_m)
     box.check("goal", goal_m)
+    if float(np.hypot(*(goal_m - start_m))) < MIN_SPACING_M:
+        raise UsageError(f"the goal ({goal_m[0]:g}, {goal_m[1]:g}) is where the way starts: there is nothing to drive")
     return ReferencePath(np.stack([start_m, goal_m]), speed_mps)
 
 

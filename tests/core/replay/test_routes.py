@@ -13,6 +13,7 @@ from adcbf_cli.core.planning.reference import ReferencePath
 from adcbf_cli.core.replay.log_path import LogPath
 from adcbf_cli.core.replay.routes import (
     Start,
+    check_duration,
     entries_for,
     log_start,
     logged_speed,
@@ -142,3 +143,17 @@ def test_no_start_in_a_collision() -> None:
         assert right.nearest(start.pose[:2], VEHICLE.body_radius_m, start.stamp_ns)[0] >= 0.0
     with pytest.raises(AdcbfError, match="seed 1: none of 100 starts"):
         start_of(1, FIRST, world((1.0, 2.0), radius_m=50.0), VEHICLE, CONFIG)
+
+
+def test_a_drive_that_would_never_end_is_refused() -> None:
+    """3 times 10 m at 0.9 mm/s, 30 times a second: just over a million steps."""
+    points = np.array([[0.0, 0.0], [10.0, 0.0]])
+    check_duration(ReferencePath(points, 0.00091), Config())
+    with pytest.raises(UsageError, match="planning steps"):
+        check_duration(ReferencePath(points, 0.00089), Config())
+
+
+def test_a_goal_where_the_way_starts_is_refused() -> None:
+    here = np.array([1.0, 1.0])
+    with pytest.raises(UsageError, match="nothing to drive"):
+        route_between(here, here + 0.01, 1.0, map_box(LogPath(np.array([0]), np.zeros((1, 3))), world(), 4.0))
