@@ -38,7 +38,7 @@ def required_m(surface_now_m: FloatArray, safety_m: float) -> FloatArray:
 def braking(vehicle: Vehicle, situation: Situation, steps: int, step_s: float, first_step_s: float) -> Plan:
     """Braking from the inputs that the vehicle has now; STOPPED where it stands already."""
     wanted = vehicle.braking(situation.inputs, steps, step_s, first_step_s)
-    inputs = reachable(vehicle, wanted, situation.inputs, step_s, first_step_s)
+    inputs = vehicle.within_limits(wanted, situation.inputs, step_s, first_step_s)
     stands = abs(float(situation.inputs[0])) < STANDING_MPS
     poses = vehicle.roll_out(situation.pose, inputs, step_s)
     return Plan(Outcome.STOPPED if stands else Outcome.BRAKED, inputs, poses, None)
