@@ -5,8 +5,8 @@
 All methods get the same grid cells of the same scans (this package's crop, ground and outlier removal)
 and the same obstacle parameters; only the clusterer differs:
 
-    hdbscan                     this package's, on the neighbour graph of a maximal gap
-    scikit-learn, whole cloud   its HDBSCAN on all cells of the scan, same cluster size and min_samples
+    hdbscan                     this package's, on the neighbour graph of a maximal gap, with small obstacles by returns
+    scikit-learn, whole cloud   its HDBSCAN on all cells of the scan, same cluster size and min_samples; cells only
     ..., with epsilon           the same with `cluster_selection_epsilon` = perception.min_gap_m; scans on
                                 which scikit-learn's epsilon search raises are left out, and counted
     dbscan, eps 0.3, 0.5, 0.7   with the same min_samples
@@ -47,7 +47,7 @@ Clusterer = Callable[..., Grouping]
 def scikit_learn(epsilon: bool) -> Clusterer:
     """scikit-learn's HDBSCAN on the whole cloud, in the shape of this package's `hdbscan`."""
 
-    def cluster(points_m: FloatArray, *, min_cluster_size: int, min_samples: int, **others: float) -> Grouping:
+    def cluster(points_m: FloatArray, *, min_cluster_size: int, min_samples: int, **others: Any) -> Grouping:
         if len(points_m) < min_cluster_size:
             return Grouping(np.full(len(points_m), NO_ID, dtype=np.int64), np.zeros(len(points_m)))
         gap_m = others["min_gap_m"] if epsilon else 0.0

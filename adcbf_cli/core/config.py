@@ -69,9 +69,11 @@ class PerceptionConfig(StageConfig):
     ground_clearance_m: NonNegative = Field(0.15, description="Points this little above the local ground are ground.")
     cell_m: AtLeastThousandth = Field(0.1, description="Side of the grid cells that thin the cloud.")
     clusterer: Literal["hdbscan", "dbscan"] = "hdbscan"
-    min_cluster_size: Annotated[int, Field(ge=2)] = Field(5, description="Grid cells of the smallest obstacle.")
+    min_cluster_size: Annotated[int, Field(ge=2)] = Field(
+        5, description="Grid cells of the smallest obstacle, or as many returns in two or more cells."
+    )
     planar_min_cluster_size: Annotated[int, Field(ge=2)] = Field(
-        2, description="The same for a 2-D laser, where a leg is two cells."
+        2, description="Grid cells of a 2-D laser's smallest obstacle: a leg is two."
     )
     min_samples: Annotated[int, Field(ge=1)] = Field(
         2, description="A point's density is the distance to this neighbour, itself counted."

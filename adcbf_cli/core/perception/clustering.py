@@ -21,6 +21,11 @@ two gaps, density decides.
 A few points beyond `min_gap_m`, too few for a cluster of their own, still belong to the cluster next
 to them by the definition, with a low probability, and one of them can double an obstacle's radius.
 `min_probability` makes them the noise that they would be on their own.
+
+Small obstacles. Cells thin a cloud where it is dense; a post or a far trunk fills two or three of them,
+however often it was hit. What is left as noise is therefore judged once more by its `returns`: a group
+of noise cells, each within the lower gap (DBSCAN: eps) of another, is an obstacle if it holds
+`min_cluster_size` returns in at least FEWEST_CELLS cells. Clusters that were found stay as they are.
 """
 
 from __future__ import annotations
@@ -38,6 +43,9 @@ if TYPE_CHECKING:
 
 MAX_PAIRS = 30_000_000
 """Neighbour pairs of one frame that are still worked on (about half a gigabyte)."""
+
+FEWEST_CELLS = 2
+"""Cells of the smallest obstacle that counts by its returns: one cell alone may be a flaw of the sensor's."""
 
 SMALLEST_DISTANCE_M = 1e-9
 """Coincident points have a finite density, too."""
@@ -60,12 +68,27 @@ def hdbscan(
     min_gap_m: float,
     max_gap_m: float,
     min_probability: float = 0.0,
+    returns: IntArray | None = None,
 ) -> Grouping:
     """Cluster points (n, d) by the hierarchy of densities within `max_gap_m`; see the module's text.
 
     Members with a probability below `min_probability` that join only beyond `min_gap_m` become noise.
+    returns: (n,) LiDAR returns that each point stands for; None: small obstacles are not sought.
     Raises AdcbfError where the points are so dense that the graph would not fit in memory.
     """
+    grouping = _by_density(points_m, min_cluster_size, min_samples, min_gap_m, max_gap_m, min_probability)
+    return grouping if returns is None else _with_small(grouping, points_m, returns, min_gap_m, min_cluster_size)
+
+
+def _by_density(
+    points_m: FloatArray,
+    min_cluster_size: int,
+    min_samples: int,
+    min_gap_m: float,
+    max_gap_m: float,
+    min_probability: float,
+) -> Grouping:
+    """`hdbscan` without small obstacles."""
     if len(points_m) < max(min_cluster_size, min_samples):
         return _all_noise(len(points_m))
     first, second, weight = _spanning_forest(points_m, min_samples, max_gap_m)
@@ -80,9 +103,12 @@ def hdbscan(
     return Grouping(np.where(stray, NO_ID, grouping.label), np.where(stray, 0.0, grouping.probability))
 
 
-def dbscan(points_m: FloatArray, *, eps_m: float, min_samples: int, min_cluster_size: int) -> Grouping:
+def dbscan(
+    points_m: FloatArray, *, eps_m: float, min_samples: int, min_cluster_size: int, returns: IntArray | None = None
+) -> Grouping:
     """DBSCAN (Ester et al. 1996) of points (n, d), exactly. A border point goes to its nearest core
-    point's cluster; clusters smaller than `min_cluster_size` are noise; members have probability 1."""
+    point's cluster; clusters smaller than `min_cluster_size` are noise; members have probability 1.
+    returns: as for `hdbscan`."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -111,7 +137,32 @@ def dbscan(points_m: FloatArray, *, eps_m: float, min_samples: int, min_cluster_
     sizes = np.bincount(label[label >= 0], minlength=n)
     label[(label >= 0) & (sizes[np.maximum(label, 0)] < min_cluster_size)] = NO_ID
     label = _in_order_of_appearance(label)
-    return Grouping(label, (label != NO_ID).astype(np.float64))
+    grouping = Grouping(label, (label != NO_ID).astype(np.float64))
+    return grouping if returns is None else _with_small(grouping, points_m, returns, eps_m, min_cluster_size)
+
+
+def _with_small(
+    grouping: Grouping, points_m: FloatArray, returns: IntArray, gap_m: float, min_returns: int
+) -> Grouping:
+    """Also the small obstacles among the noise, with probability 1; see the module's text."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    noise = np.flatnonzero(grouping.label == NO_ID)
+    n = len(noise)
+    if n < FEWEST_CELLS:
+        return grouping
+    first, second = _pairs_within(cKDTree(points_m[noise]), gap_m)
+    graph = coo_array((np.ones(len(first)), (first, second)), shape=(n, n))
+    count, group = connected_components(graph, directed=False)
+    enough = np.bincount(group, returns[noise], minlength=count) >= min_returns
+    enough &= np.bincount(group, minlength=count) >= FEWEST_CELLS
+    label, probability = grouping.label.copy(), grouping.probability.copy()
+    found = enough[group]
+    label[noise[found]] = label.max() + 1 + group[found]
+    probability[noise[found]] = 1.0
+    return Grouping(_in_order_of_appearance(label), probability)
 
 
 def _all_noise(n: int) -> Grouping:

@@ -31,6 +31,10 @@ class Cells:
     def __len__(self) -> int:
         return len(self.mean_m)
 
+    def returns(self) -> IntArray:
+        """How many points each cell holds, (k,)."""
+        return np.bincount(self.point_cell, minlength=len(self.mean_m))
+
 
 def cell_numbers(x_m: FloatArray, y_m: FloatArray, cell_m: float) -> tuple[IntArray, tuple[int, int]]:
     """Each point's cell (n,) in a grid of square cells over all of them, counted row by row, and the
@@ -56,7 +60,9 @@ def occupied_cells(xy_m: FloatArray, cell_m: float, origin_m: FloatArray | None 
     return Cells(mean, point_cell.astype(np.int64))
 
 
-def not_outlying(cells_m: FloatArray, neighbours: int, std_ratio: float, cell_m: float) -> BoolArray:
+def not_outlying(
+    cells_m: FloatArray, neighbours: int, std_ratio: float, cell_m: float, returns: IntArray | None = None
+) -> BoolArray:
     """Statistical outlier removal (Rusu et al., Towards 3D point cloud based object maps, 2008).
 
     A cell (k, 2) stays when the mean distance to its nearest `neighbours` is at most the cloud's mean
@@ -64,12 +70,28 @@ def not_outlying(cells_m: FloatArray, neighbours: int, std_ratio: float, cell_m:
     rule alone would cut off the ends of walls: so a cell stays also where the mean distance is at most
     that of the last cell of a row of which every second one is empty, (neighbours + 1) * cell_m. With
     no more cells than neighbours, all stay.
+
+    returns: (k,), where given, a cell is judged by its nearest `neighbours` other returns, its own among
+    them, against the same limit: a cell that was hit several times is no stray.
     """
     from scipy.spatial import cKDTree
 
     if len(cells_m) <= neighbours:
         return np.ones(len(cells_m), dtype=bool)
-    distance, _ = cKDTree(cells_m).query(cells_m, k=neighbours + 1)
+    distance, nearest = cKDTree(cells_m).query(cells_m, k=neighbours + 1)
     mean = distance[:, 1:].mean(axis=1)
-    keep: BoolArray = mean <= max(mean.mean() + std_ratio * mean.std(), (neighbours + 1) * cell_m)
+    limit_m = max(mean.mean() + std_ratio * mean.std(), (neighbours + 1) * cell_m)
+    if returns is not None:
+        mean = _mean_distance_to_returns(distance, returns[nearest])
+    keep: BoolArray = mean <= limit_m
     return keep
+
+
+def _mean_distance_to_returns(distance: FloatArray, returns: IntArray) -> FloatArray:
+    """Mean distance (k,) from one return of each cell to its m nearest others, each taken to lie at its cell's
+    mean. distance, returns: (k, m + 1), of the nearest cells, the nearest first: the cell itself."""
+    wanted = distance.shape[1]
+    nearer = np.cumsum(returns, axis=1) - returns
+    taken = np.clip(wanted - nearer, 0, returns)
+    mean: FloatArray = (taken * distance).sum(axis=1) / (wanted - 1)
+    return mean

@@ -8,6 +8,9 @@ The statistical outlier removal comes after the grid, not before: there it sees 
 judges stray points, where on the raw cloud it would mostly judge how far away a thing is; and it
 costs a tenth of the time. The judged neighbours are fewer than a smallest cluster has, so that it
 cannot remove what the clusterer would have kept whole.
+
+A 3-D LiDAR's smallest obstacle is counted in returns, by outlier removal and clusterer alike: several
+rings fall into one cell. A 2-D laser has one ring, and its smallest obstacle is counted in cells.
 """
 
 from __future__ import annotations
@@ -45,7 +48,7 @@ class Perception:
         with timer("smooth"):
             points, cells = self._smooth(points, cells, frame.planar)
         with timer("cluster"):
-            grouping = self._cluster(cells.mean_m, frame.planar)
+            grouping = self._cluster(cells, frame.planar)
         with timer("obstacles"):
             shapes, cell_group, origin = split_over_long(
                 points, cells.point_cell, cells.mean_m, grouping.label, self._config
@@ -86,7 +89,8 @@ class Perception:
         if not config.smoothing or len(cells) == 0:
             return points, cells
         neighbours = min(config.smoothing_neighbours, self._min_cluster_size(planar) - 1)
-        keep = not_outlying(cells.mean_m, neighbours, config.smoothing_std_ratio, config.cell_m)
+        returns = None if planar else cells.returns()
+        keep = not_outlying(cells.mean_m, neighbours, config.smoothing_std_ratio, config.cell_m, returns)
         number = np.cumsum(keep) - 1
         stays = keep[cells.point_cell]
         return points[stays], Cells(cells.mean_m[keep], number[cells.point_cell[stays]])
@@ -94,18 +98,26 @@ class Perception:
     def _min_cluster_size(self, planar: bool) -> int:
         return self._config.planar_min_cluster_size if planar else self._config.min_cluster_size
 
-    def _cluster(self, cells_m: FloatArray, planar: bool) -> Grouping:
+    def _cluster(self, cells: Cells, planar: bool) -> Grouping:
         config = self._config
         smallest = self._min_cluster_size(planar)
+        returns = None if planar else cells.returns()
         if config.clusterer == "dbscan":
-            return dbscan(cells_m, eps_m=config.dbscan_eps_m, min_samples=config.min_samples, min_cluster_size=smallest)
+            return dbscan(
+                cells.mean_m,
+                eps_m=config.dbscan_eps_m,
+                min_samples=config.min_samples,
+                min_cluster_size=smallest,
+                returns=returns,
+            )
         return hdbscan(
-            cells_m,
+            cells.mean_m,
             min_cluster_size=smallest,
             min_samples=config.min_samples,
             min_gap_m=config.min_gap_m,
             max_gap_m=config.max_gap_m,
             min_probability=config.min_probability,
+            returns=returns,
         )
 
     def _assemble(
