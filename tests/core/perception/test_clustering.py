@@ -179,6 +179,54 @@ def test_a_stray_beside_a_dense_obstacle_is_noise_and_one_within_the_lower_gap_i
     assert (hdbscan(3 * points, **{**settings_, "max_gap_m": 3.0}, min_probability=0.1).label == 0).all()
 
 
+SMALL = {
+    "hdbscan": lambda points, returns: hdbscan(
+        points, min_cluster_size=5, min_samples=2, min_gap_m=0.3, max_gap_m=1.0, min_probability=0.3, returns=returns
+    ),
+    "dbscan": lambda points, returns: dbscan(points, eps_m=0.3, min_samples=2, min_cluster_size=5, returns=returns),
+}
+
+
+@pytest.mark.parametrize("method", SMALL)
+@pytest.mark.parametrize(
+    ("places", "returns", "found"),
+    [
+        ([0.0, 0.1], [3, 2], True),
+        ([0.0, 0.1], [2, 2], False),
+        ([0.0, 0.25, 0.5], [2, 1, 2], True),
+        ([0.0, 0.4], [4, 4], False),
+        ([0.0], [40], False),
+    ],
+)
+def test_a_small_obstacle_is_five_returns_in_two_cells(
+    method: str, places: list[float], returns: list[int], found: bool
+) -> None:
+    """Beside an obstacle of ten cells, at 0.8 m from it and at 8 m, and without it."""
+    small = np.column_stack([np.array(places), np.zeros(len(places))])
+    large = np.column_stack([np.arange(10) * 0.1, np.full(10, -0.8)])
+    hits = np.array(returns)
+    for away in (0.0, 7.2):
+        points = np.concatenate([large - [0.0, away], small])
+        grouping = SMALL[method](points, np.concatenate([np.ones(10, dtype=np.int64), hits]))
+        np.testing.assert_array_equal(grouping.label, [0] * 10 + [1 if found else NO_ID] * len(small))
+        np.testing.assert_array_equal(grouping.probability[10:], float(found))
+    np.testing.assert_array_equal(SMALL[method](small, hits).label, 0 if found else NO_ID)
+
+
+@pytest.mark.parametrize("method", SMALL)
+@pytest.mark.parametrize("seed", range(20))
+def test_small_obstacles_leave_the_others_as_they_are(method: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = np.concatenate([blobs(seed), rng.uniform(-5.0, 5.0, (40, 2))])
+    plain = SMALL[method](points, None)
+    by_returns = SMALL[method](points, rng.integers(1, 8, len(points)))
+    before, after = plain.label != NO_ID, by_returns.label != NO_ID
+    assert same_partition(plain.label[before], by_returns.label[before])
+    assert not set(by_returns.label[before].tolist()) & set(by_returns.label[~before & after].tolist())
+    np.testing.assert_array_equal(by_returns.probability[before], plain.probability[before])
+    assert set(by_returns.label[after].tolist()) == set(range(by_returns.label.max() + 1))
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_dbscan_equals_scikit_learn(seed: int) -> None:
     points = blobs(seed)

@@ -180,6 +180,36 @@ def test_a_laser_sees_two_legs_as_one_person_and_a_wall_as_pieces() -> None:
     assert (clusters.height_m == 0.0).all()
 
 
+SPARSE = scenes.Lidar(elevation_deg=np.linspace(-16.0, 14.0, 16), azimuth_step_deg=1.0)
+
+
+@pytest.mark.parametrize("clusterer", ["hdbscan", "dbscan"])
+def test_a_few_beams_on_far_posts_are_obstacles_and_single_returns_are_not(clusterer: str) -> None:
+    """Posts of 0.3 m seen at 8 to 11 m by 16 rings at 1 degree: two or three cells each."""
+    posts = [(8.0, 2.0), (-9.0, 3.0), (1.0, -10.0), (-7.0, -8.0)]
+    surfaces = [scenes.plane(0.9), scenes.box(5.0, 5.0, 1.5, 1.0, 0.3, -0.9, 0.5)]
+    surfaces += [scenes.cylinder(x, y, 0.15, -0.9, 1.2) for x, y in posts]
+    rng = np.random.default_rng(3)
+    points = SPARSE.scan(surfaces, rng)
+    around, away = rng.uniform(-np.pi, np.pi, 12), rng.uniform(3.0, 11.0, 12)
+    strays = np.column_stack([away * np.cos(around), away * np.sin(around), rng.uniform(-0.3, 0.8, 12)])
+    config = PerceptionConfig.model_validate({"range_m": 12.0, "clusterer": clusterer})
+    clusters = run(np.concatenate([points, strays]), config)
+    distance = np.linalg.norm(clusters.centre_m[:, None, :2] - np.array(posts), axis=2)
+    assert (distance.min(axis=0) < 0.2).all()  # of a post this small, the near side is all there is
+    assert clusters.points[distance.argmin(axis=0)].max() < config.min_cluster_size
+    assert len(clusters) == len(posts) + 1
+
+
+def test_a_laser_counts_cells_not_returns() -> None:
+    """Two cells 0.1 m apart are a leg, with one return each; one cell is none, with thirty."""
+    leg = np.array([[2.0, 0.02, 0.0], [2.0, 0.12, 0.0]])
+    flaw = np.tile([[1.0, -2.0, 0.0]], (30, 1))
+    clusters = Perception(PerceptionConfig(), Notes())(scenes.frame(np.concatenate([leg, flaw]), planar=True))
+    assert len(clusters) == 1
+    np.testing.assert_allclose(clusters.centre_m[0, :2], [2.0, 0.07], atol=0.05)
+
+
 def test_a_circling_cylinder_is_measured_without_bias() -> None:
     """The paper's Table I obstacle, r = 0.48 m on a circle 4 to 9 m away, before any filter."""
     lidar, rng = scenes.Lidar(), np.random.default_rng(0)
