@@ -11,8 +11,8 @@ from adcbf_cli.core.config import EvaluationConfig
 from adcbf_cli.core.evaluation import quantiles
 from adcbf_cli.core.evaluation.later import SCORED_TOGETHER, LaterSeen
 from adcbf_cli.core.evaluation.lives import TrackLives
-from adcbf_cli.core.evaluation.paths import Paths
 from adcbf_cli.core.evaluation.quantiles import QuantileSums
+from adcbf_cli.core.paths import Paths
 from adcbf_cli.core.types import NO_ID, Tracks
 from tests.core.evaluation.scenes import Run, Seen, line
 
