@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from adcbf_cli.core.errors import AdcbfError
 from adcbf_cli.io.run_folder import DRIVING, RunFolder
 
 if TYPE_CHECKING:
     from adcbf_cli.commands.stages import Job, Outcome
+    from adcbf_cli.core.config import PlanningConfig, ReplayConfig
     from adcbf_cli.core.evaluation.report import Report
     from adcbf_cli.core.replay.records import Drive
 
@@ -21,7 +23,8 @@ class Stored:
 
     kind: str
     drives: list[Drive]
-    config: dict[str, Any]
+    replay: ReplayConfig
+    planning: PlanningConfig
     against: str | None
     key: str
 
@@ -44,7 +47,6 @@ class StoredDrives:
     def compare(self, outcome: Outcome, report: Report) -> list[tuple[str, Table]]:
         """Adds each kind's metrics to the report, and gives its table with a title. Drives along predictions that
         are no longer the folder's are left out, and the user is told."""
-        from adcbf_cli.core.config import PlanningConfig, ReplayConfig
         from adcbf_cli.core.evaluation.comparison import add_to_report, compare
         from adcbf_cli.core.evaluation.comparison_text import headline
 
@@ -53,9 +55,7 @@ class StoredDrives:
             if stored.key != outcome.manifest.stages["predict"].key:
                 outcome.notes.warn(f"{DRIVING[stored.kind]}/ was made of other predictions: run `adcbf {stored.kind}`")
                 continue
-            replay = ReplayConfig.model_validate(stored.config["replay"])
-            planning = PlanningConfig.model_validate(stored.config["planning"])
-            comparison = compare(stored.drives, replay, planning, stored.against)
+            comparison = compare(stored.drives, stored.replay, stored.planning, stored.against)
             add_to_report(comparison, report)
             shown.append((f"{outcome.folder.path / DRIVING[stored.kind]}", headline(comparison)))
         return shown
@@ -72,6 +72,9 @@ def stored_drives(job: Job) -> StoredDrives:
 
 
 def _stored(folder: RunFolder, kind: str) -> Stored | None:
+    from pydantic import ValidationError
+
+    from adcbf_cli.core.config import PlanningConfig, ReplayConfig
     from adcbf_cli.io.driving_tables import read_drives
     from adcbf_cli.io.parquet import table_metadata
 
@@ -80,4 +83,10 @@ def _stored(folder: RunFolder, kind: str) -> Stored | None:
     metadata = table_metadata(place / "drives.parquet")
     if key is None or metadata is None:
         return None
-    return Stored(kind, read_drives(place), metadata["config"], metadata["against"], key)
+    try:
+        replay = ReplayConfig.model_validate(metadata["config"]["replay"])
+        planning = PlanningConfig.model_validate(metadata["config"]["planning"])
+        against = metadata["against"]
+    except (ValidationError, LookupError, TypeError):
+        raise AdcbfError(f"{place}: its settings are not this adcbf's; run `adcbf {kind}` again") from None
+    return Stored(kind, read_drives(place), replay, planning, against, key)

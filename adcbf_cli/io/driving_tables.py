@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from adcbf_cli.core.errors import AdcbfError
 from adcbf_cli.core.replay.records import Drive, PlanStages, PlanSteps, Result
 from adcbf_cli.core.types import NO_ID, FloatArray, IntArray
 from adcbf_cli.io.parquet import Columns, TableWriter, read_table
@@ -131,10 +132,34 @@ def _stage_columns(drive: Drive, stages: PlanStages) -> Columns:
 
 
 def read_drives(folder: Path) -> list[Drive]:
-    """The drives that `write_drives` wrote. AdcbfError where a table is damaged."""
+    """The drives that `write_drives` wrote. AdcbfError where a table is damaged, or they do not fit together."""
     tables = {name: read_table(folder / f"{name}.parquet", SCHEMAS[name].names) for name in DRIVING_TABLES}
     rows = {name: _Parts(table) for name, table in tables.items()}
-    return [_drive(entry, rows) for entry in tables["drives"].to_pylist()]
+    entries = tables["drives"].to_pylist()
+    for entry in entries:
+        if not _is_whole(entry, rows):
+            raise AdcbfError(
+                f"{folder}: its tables do not fit together ({entry['planner']}, seed {entry['seed']}); drive again"
+            )
+    return [_drive(entry, rows) for entry in entries]
+
+
+def _is_whole(entry: dict[str, Any], rows: dict[str, _Parts]) -> bool:
+    """Whether every table has each tick of this drive, in order, or, apart from the trajectory, none of it."""
+    key, ticks = (entry["planner"], entry["seed"]), np.arange(entry["ticks"])
+    if entry["result"] not in (None, *Result):
+        return False
+    driven, plans, times = (rows[name].of(key) for name in ("trajectories", "plans", "solve_times"))
+    if (driven is None) != (len(ticks) == 0) or (plans is None) != (times is None):
+        return False
+    if any(part is not None and not np.array_equal(part["tick"], ticks) for part in (driven, plans, times)):
+        return False
+    staged = rows["plan_stages"].of(key)
+    if staged is None:
+        return True
+    stages = np.arange(int(staged["stage"].max()) + 1)
+    in_order = np.array_equal(staged["stage"], np.tile(stages, len(ticks)))
+    return in_order and np.array_equal(staged["tick"], np.repeat(ticks, len(stages)))
 
 
 class _Parts:

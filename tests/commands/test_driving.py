@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -156,6 +157,22 @@ def test_evaluate_scores_what_was_driven(replayed: Path) -> None:
     missed = adcbf("evaluate", replayed, "--fail-on", f"{name}<100")
     assert missed.returncode == 4
     assert "threshold missed: replay.ad-cbf-mpc.path_length_m" in missed.stderr
+
+
+def test_settings_of_another_version_are_told_in_one_line(replayed: Path, people: Path, tmp_path: Path) -> None:
+    folder = tmp_path / people.with_suffix(".adcbf").name
+    shutil.copytree(replayed, folder)
+    shutil.copy(people, tmp_path / "people.csv")
+    path = folder / "replay" / "drives.parquet"
+    drives = pq.read_table(path)
+    metadata = json.loads(drives.schema.metadata[b"adcbf"])
+    del metadata["config"]["replay"]["near_m"]
+    metadata["config"]["replay"]["nearness_m"] = 2.0
+    pq.write_table(drives.replace_schema_metadata({b"adcbf": json.dumps(metadata).encode()}), path)
+    done = adcbf("evaluate", folder, "--range", "8")
+    assert done.returncode == 1, done.stderr
+    assert "its settings are not this adcbf's; run `adcbf replay` again" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
 
 
 def test_seeds_start_alike_for_every_planner(people: Path, tmp_path: Path) -> None:

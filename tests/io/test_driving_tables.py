@@ -6,6 +6,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -99,6 +100,27 @@ def test_missing_evidence_is_null(tmp_path: Path) -> None:
     write_drives(tmp_path, [make_drive("dwa", 0, 6)], {})
     table = pq.read_table(tmp_path / "trajectories.parquet")
     assert table["clearance_m"].null_count == table["nearest_id"].null_count == 3
+
+
+TAMPERED = {
+    "no trajectory": ("trajectories", lambda t: t.slice(0, 0)),
+    "a cut trajectory": ("trajectories", lambda t: t.slice(0, 5)),
+    "another order": ("trajectories", lambda t: t.take(pa.array(range(len(t) - 1, -1, -1)))),
+    "fewer plans": ("plans", lambda t: t.slice(0, 5)),
+    "plans without times": ("solve_times", lambda t: t.slice(0, 0)),
+    "a cut plan": ("plan_stages", lambda t: t.slice(0, 17)),
+    "another result": ("drives", lambda t: t.set_column(t.column_names.index("result"), "result", pa.array(["won"]))),
+    "another planner": ("drives", lambda t: t.set_column(t.column_names.index("planner"), "planner", pa.array(["x"]))),
+}
+
+
+@pytest.mark.parametrize("case", TAMPERED)
+def test_tables_that_do_not_fit_together_are_refused(tmp_path: Path, case: str) -> None:
+    write_drives(tmp_path, [make_drive("dwa", 0, 6)], {})
+    name, change = TAMPERED[case]
+    pq.write_table(change(pq.read_table(tmp_path / f"{name}.parquet")), tmp_path / f"{name}.parquet")
+    with pytest.raises(AdcbfError, match="do not fit together"):
+        read_drives(tmp_path)
 
 
 def test_a_failure_on_the_way_leaves_no_table(tmp_path: Path) -> None:

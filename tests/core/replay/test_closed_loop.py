@@ -12,6 +12,7 @@ import pytest
 from adcbf_cli.core.config import Config
 from adcbf_cli.core.errors import AdcbfError
 from adcbf_cli.core.planning.planner import Details, Outcome, Plan, Situation
+from adcbf_cli.core.planning.presets import make_planner
 from adcbf_cli.core.planning.reference import ReferencePath
 from adcbf_cli.core.replay.closed_loop import replay
 from adcbf_cli.core.replay.log_path import LogPath
@@ -282,6 +283,32 @@ def test_a_turned_and_shifted_world_gives_the_same_drive(
     for name in ("clearance_m", "ttc_s", "reference_m", "along_m", "log_m"):
         np.testing.assert_allclose(getattr(there, name), getattr(here, name), atol=1e-8)
     np.testing.assert_array_equal(there.steps.conflict, here.steps.conflict)
+
+
+def test_what_happens_later_changes_nothing_before(predicted: Make) -> None:
+    """A disc that turns back after 1.5 s, or does not: until then real planners drive and plan alike."""
+    time_s = np.arange(101) / 10
+    stamps = np.round(time_s * 1e9).astype(np.int64)
+    log_path = LogPath(stamps, np.column_stack([time_s, 0 * time_s, 0 * time_s]))
+
+    def drive(name: str, turns_back: bool) -> Drive:
+        side = np.where(turns_back & (time_s > 1.55), 2 * 1.5 - time_s, time_s)
+        disc = np.column_stack([np.full(101, 4.0), -3.0 + 0.9 * side])
+        world = RecordedWorld(Samples.of(np.full(101, 3), stamps, disc, np.full(101, 0.5)), 0.5)
+        speeds = np.where(turns_back & (time_s > 1.55), -0.9, 0.9)
+        moves = zip(stamps.tolist(), disc, speeds, strict=True)
+        records = [predicted(stamp, [place], [[0.0, speed]]) for stamp, place, speed in moves]
+        one = entry(make_planner(name, VEHICLE, CONFIG.planning, Notes()), path_x())
+        clock = itertools.count().__next__
+        return replay([one], records, world, log_path, VEHICLE, CONFIG, clock, Notes())[0]
+
+    for name in ("ad-cbf-mpc", "dwa", "apf", "pure-pursuit"):
+        on, back = drive(name, turns_back=False), drive(name, turns_back=True)
+        until = int(np.searchsorted(on.stamp_ns, round(1.5e9), side="right"))
+        for values in ("pose", "inputs", "clearance_m", "log_m"):
+            np.testing.assert_array_equal(getattr(on, values)[:until], getattr(back, values)[:until])
+        np.testing.assert_array_equal(on.stages.pose[:until], back.stages.pose[:until])
+        assert not np.array_equal(on.clearance_m[until : until + 10], back.clearance_m[until : until + 10])
 
 
 class Detailed:
