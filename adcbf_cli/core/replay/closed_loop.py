@@ -113,7 +113,10 @@ class _Driver:
         self._log.tick(self.stamp_ns, self._pose, float(self._inputs[0]), self._along_m, self._touched)
         self.result = self._end()
         if self.result is Result.COLLISION and self._tick == 0:
-            self._notes.warn(f"seed {self._entry.seed} starts in a collision: its drives end where they begin")
+            self._notes.warn(
+                f"seed {self._entry.seed} starts in a collision: its drives end where they begin "
+                "(vehicle.body_radius_m too large? else give another --start)"
+            )
         planning = setting.config.planning
         known = knowledge.obstacles(
             self.stamp_ns, self._pose[:2], setting.range_m, planning.steps, planning.step_s, planning.uncertainty

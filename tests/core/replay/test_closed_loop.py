@@ -133,7 +133,8 @@ def test_a_start_in_a_collision_is_told(run: Any, driver: Any) -> None:
     drive = run(driver(VEHICLE, 1.0), standing(0.5, 0.0), notes=notes)
     assert drive.result is Result.COLLISION
     assert len(drive.stamp_ns) == 1
-    assert notes.warnings == ["seed 0 starts in a collision: its drives end where they begin"]
+    assert len(notes.warnings) == 1
+    assert notes.warnings[0].startswith("seed 0 starts in a collision: its drives end where they begin")
 
 
 def test_timeout(run: Any, driver: Any) -> None:
