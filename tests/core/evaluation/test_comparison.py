@@ -230,4 +230,4 @@ def test_the_markdown_page() -> None:
     assert "Minus calm, seed by seed:" in page
     assert "| `nav_time_s` | -0.5 |  | s | lower | 4 | 2 |" in page
     assert page.count("Minus calm") == 1
-    assert "- `min_dist_m` (ticks within the recording):" in page
+    assert "- `min_dist_m` (ticks with a known obstacle):" in page
