@@ -51,10 +51,8 @@ class Case:
 
 
 SAMPLE = ("sample_data/sample.mcap", ("--range", "12"), "sample_data/truth.csv")
-DATMO = (
-    "datmo/overtakes.bag",
-    ("--pose", "/ego_pose", "--extrinsic", "ego_pose>laser:-0.15,0.03,0,0,0,0", "--range", "5"),
-)
+MOUNT = "ego_pose>laser:-0.15,0.03,0,0,0,0"
+DATMO = ("datmo/overtakes.bag", ("--pose", "/ego_pose", "--extrinsic", MOUNT, "--range", "5"), "topic:/red_pose")
 KITTI = ("kitti0000/kitti0000_a.mcap", ("--range", "20"), "kitti0000/kitti0000_a_gt_tracks.csv")
 
 
