@@ -19,7 +19,7 @@ from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parent.parent
 VEHICLES = PROJECT / "benchmarks" / "vehicles"
-SEEDS = ("--seeds", "0:20")
+SEEDS = ("--seeds", "0:10")
 
 
 @dataclass(frozen=True)
