@@ -34,6 +34,8 @@ class StoredDrives:
     """Every kind of driving that the run folder holds whole."""
 
     kinds: tuple[Stored, ...]
+    cut_short: tuple[str, ...]
+    """Kinds of which some files are there, but not all: what a killed command leaves."""
 
     def metric_names(self) -> list[str]:
         from adcbf_cli.core.evaluation.comparison import metric_names
@@ -50,6 +52,8 @@ class StoredDrives:
         from adcbf_cli.core.evaluation.comparison import add_to_report, compare
         from adcbf_cli.core.evaluation.comparison_text import headline
 
+        for kind in self.cut_short:
+            outcome.notes.warn(f"{DRIVING[kind]}/ is not whole, and left out: run `adcbf {kind}` again")
         shown = []
         for stored in self.kinds:
             if stored.key != outcome.manifest.stages["predict"].key:
@@ -68,7 +72,9 @@ def _kind(name: str) -> Any:
 def stored_drives(job: Job) -> StoredDrives:
     """What the job's run folder holds, read before anything is computed."""
     found = [_stored(job.folder, kind) for kind in DRIVING]
-    return StoredDrives(tuple(stored for stored in found if stored is not None))
+    whole = {stored.kind for stored in found if stored is not None}
+    cut_short = [k for k in DRIVING if k not in whole and any((job.folder.path / DRIVING[k]).glob("*.parquet"))]
+    return StoredDrives(tuple(stored for stored in found if stored is not None), tuple(cut_short))
 
 
 def _stored(folder: RunFolder, kind: str) -> Stored | None:

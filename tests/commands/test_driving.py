@@ -175,6 +175,16 @@ def test_settings_of_another_version_are_told_in_one_line(replayed: Path, people
     assert len(done.stderr.splitlines()) == 1
 
 
+def test_drives_that_are_not_whole_are_left_out_and_told(people: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    assert adcbf("replay", people, "-o", folder, *WAY, "-p", "pure-pursuit").returncode == 0
+    (folder / "replay" / "plans.parquet").unlink()
+    done = adcbf("evaluate", folder, "--json")
+    assert done.returncode == 0, done.stderr
+    assert "replay/ is not whole" in done.stderr
+    assert not [name for name in json.loads(done.stdout)["metrics"] if name.startswith("replay.")]
+
+
 def test_seeds_start_alike_for_every_planner(people: Path, tmp_path: Path) -> None:
     folder = tmp_path / "run"
     done = adcbf("replay", people, "-o", folder, *WAY, "-p", "pure-pursuit", "-p", "apf", "--seeds", "0,3:5", "--json")
