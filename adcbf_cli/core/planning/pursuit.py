@@ -22,17 +22,20 @@ GENTLE = 0.5
 leaves something in hand."""
 
 
+FARTHER_ON_M = 0.5
+"""A vehicle begins at the beginning of its path, unless another place of it is nearer by this."""
+
 MISSED_M = 0.15
 """Farther off the path than this, and than what is left of it, the vehicle heads for the goal itself."""
 
 
 class Progress:
-    """The arc length reached on a path; found near the last one, so that a path that crosses itself is
-    not short-cut. A new path starts anew."""
+    """The arc length reached on a path; found near the last one, so that laps and crossings are not
+    short-cut. A new path starts anew, at its start unless the vehicle is clearly farther on."""
 
     def __init__(self) -> None:
         self._path: ReferencePath | None = None
-        self._along_m: float | None = None
+        self._along_m = 0.0
 
     def way(self, path: ReferencePath, pose: FloatArray) -> tuple[ReferencePath, float]:
         """What to follow from `pose` (3,) on, and the arc length on it.
@@ -41,12 +44,21 @@ class Progress:
         where the path asks it to stand. There the straight line to the goal takes the path's place.
         """
         if path is not self._path:
-            self._path, self._along_m = path, None
+            self._path, self._along_m = path, _beginning(path, pose[:2])
         self._along_m = path.nearest(pose[:2], self._along_m)
         off = path.at(np.array([self._along_m]))[0, :2] - pose[:2]
         if math.hypot(*off) > max(MISSED_M, path.length_m - self._along_m):
             return ReferencePath(np.stack([pose[:2], path.goal_m]), path.speed_mps), 0.0
         return path, self._along_m
+
+
+def _beginning(path: ReferencePath, point_m: FloatArray) -> float:
+    """Arc length near the path's start, if the path's nearest point is not nearer by FARTHER_ON_M: of several
+    laps the first is driven first."""
+    near_start, anywhere = path.nearest(point_m, 0.0), path.nearest(point_m)
+    gap = path.at(np.array([near_start, anywhere]))[:, :2] - point_m
+    from_start_m, from_anywhere_m = np.hypot(gap[:, 0], gap[:, 1])
+    return anywhere if from_start_m > from_anywhere_m + FARTHER_ON_M else near_start
 
 
 def horizon(

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adcbf_cli.core.config import PlanningConfig, VehicleConfig
-from adcbf_cli.core.planning import starts
+from adcbf_cli.core.planning import pursuit, starts
 from adcbf_cli.core.planning.barrier import AdaptiveGamma, Barrier, FixedGamma, gamma_at
 from adcbf_cli.core.planning.columns import can_bind, columns_of, nearest
 from adcbf_cli.core.planning.merit import barrier_rows
@@ -340,6 +340,16 @@ def test_a_new_path_is_followed_from_its_own_nearest_point() -> None:
     plan = made.plan(situation([], stamp_ns=33_333_333, inputs=(0.0, 0.0)))
     assert plan.poses[-1, 0] > 1.0
     assert abs(plan.poses[-1, 1]) < 0.01
+
+
+def test_of_several_laps_the_first_is_driven_first() -> None:
+    """Two laps of a circle: where they lie on each other, the nearest point may be the second lap's."""
+    turn = np.linspace(0.0, 4 * np.pi, 161)
+    laps = ReferencePath(np.column_stack([2 * np.sin(turn), 2 - 2 * np.cos(turn)]), 0.75)
+    _, along_m = pursuit.Progress().way(laps, np.array([0.0, 0.001, 0.0]))
+    assert along_m < 0.1
+    _, along_m = pursuit.Progress().way(laps, np.array([0.0, 4.0, np.pi]))
+    assert along_m % (4 * np.pi) == pytest.approx(2 * np.pi, abs=0.1), "half a lap on: there it begins"
 
 
 def test_the_problem_is_built_from_the_situation() -> None:
