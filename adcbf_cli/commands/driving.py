@@ -99,7 +99,8 @@ def run_replay(shared: Shared, driving: Driving, start: str | None, seeds: str) 
     job, thresholds, names = _prepare(shared, driving, "replay")
     setting = _set_up(job, shared, driving, "replay", names, place)
     from adcbf_cli.core.replay.closed_loop import replay
-    from adcbf_cli.core.replay.open_loop import LOGGED, logged_drive
+    from adcbf_cli.core.replay.open_loop import logged_drive
+    from adcbf_cli.core.replay.records import LOGGED
     from adcbf_cli.core.replay.routes import check_duration, entries_for
 
     check_duration(setting.route, setting.config)
@@ -152,8 +153,8 @@ def _prepare(shared: Shared, driving: Driving, kind: str) -> tuple[Job, list[Thr
     """Everything that can be wrong in what was asked is found before any work is done."""
     from adcbf_cli.commands.stages import plan_job
     from adcbf_cli.core.evaluation.comparison import metric_names
-    from adcbf_cli.core.evaluation.driving import LOGGED
     from adcbf_cli.core.evaluation.thresholds import check_names, parse_threshold
+    from adcbf_cli.core.replay.records import LOGGED
     from adcbf_cli.core.replay.routes import reference_speed
     from adcbf_cli.io.reference import check_reference
 

@@ -15,11 +15,11 @@ from typing import Any, Literal
 
 from adcbf_cli.core.config import PlanningConfig, ReplayConfig
 from adcbf_cli.core.errors import UsageError
-from adcbf_cli.core.evaluation.driving import BY_NAME, LOGGED, applicable, score_drive
+from adcbf_cli.core.evaluation.driving import BY_NAME, applicable, score_drive
 from adcbf_cli.core.evaluation.driving_evidence import DriveMetric
 from adcbf_cli.core.evaluation.intervals import bootstrap_mean, wilson
 from adcbf_cli.core.evaluation.report import Metric, Report
-from adcbf_cli.core.replay.records import Drive
+from adcbf_cli.core.replay.records import LOGGED, Drive
 
 Kind = Literal["replay", "plan"]
 Scores = Mapping[int, Mapping[str, float | None]]

@@ -11,13 +11,10 @@ from adcbf_cli.core.evaluation.driving_evidence import Applies, DriveMetric, Evi
 from adcbf_cli.core.evaluation.driving_motion import MOTION
 from adcbf_cli.core.evaluation.driving_planning import PLANNING
 from adcbf_cli.core.evaluation.driving_reaction import REACTION
-from adcbf_cli.core.replay.records import Drive
+from adcbf_cli.core.replay.records import LOGGED, Drive
 
 METRICS: tuple[DriveMetric, ...] = MOTION + REACTION + PLANNING
 BY_NAME = {metric.name: metric for metric in METRICS}
-
-LOGGED = "logged"
-"""The planner name of the log's own driver."""
 
 _OF_PLANNERS = {
     "replay": (Applies.DRIVEN, Applies.CLOSED, Applies.PLANNED),

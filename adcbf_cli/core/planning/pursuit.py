@@ -44,21 +44,12 @@ class Progress:
         where the path asks it to stand. There the straight line to the goal takes the path's place.
         """
         if path is not self._path:
-            self._path, self._along_m = path, _beginning(path, pose[:2])
+            self._path, self._along_m = path, path.nearest_or_found(pose[:2], 0.0, FARTHER_ON_M)
         self._along_m = path.nearest(pose[:2], self._along_m)
         off = path.at(np.array([self._along_m]))[0, :2] - pose[:2]
         if math.hypot(*off) > max(MISSED_M, path.length_m - self._along_m):
             return ReferencePath(np.stack([pose[:2], path.goal_m]), path.speed_mps), 0.0
         return path, self._along_m
-
-
-def _beginning(path: ReferencePath, point_m: FloatArray) -> float:
-    """Arc length near the path's start, if the path's nearest point is not nearer by FARTHER_ON_M: of several
-    laps the first is driven first."""
-    near_start, anywhere = path.nearest(point_m, 0.0), path.nearest(point_m)
-    gap = path.at(np.array([near_start, anywhere]))[:, :2] - point_m
-    from_start_m, from_anywhere_m = np.hypot(gap[:, 0], gap[:, 1])
-    return anywhere if from_start_m > from_anywhere_m + FARTHER_ON_M else near_start
 
 
 def horizon(

@@ -70,6 +70,13 @@ class ReferencePath:
         leg = int(np.argmin(distance))
         return float(self.at_m[leg] + share[leg] * (self.at_m[leg + 1] - self.at_m[leg]))
 
+    def nearest_or_found(self, point_m: FloatArray, around_m: float, farther_m: float) -> float:
+        """As `nearest` around `around_m`, unless the path comes nearer elsewhere by more than `farther_m`."""
+        near, anywhere = self.nearest(point_m, around_m), self.nearest(point_m)
+        gap = self.at(np.array([near, anywhere]))[:, :2] - point_m
+        near_m, anywhere_m = np.hypot(gap[:, 0], gap[:, 1])
+        return anywhere if near_m > anywhere_m + farther_m else near
+
     def at(self, along_m: FloatArray) -> FloatArray:
         """(k, 3) x, y, yaw at arc lengths (k,), clamped to the path's ends."""
         along = np.clip(along_m, 0.0, self.length_m)

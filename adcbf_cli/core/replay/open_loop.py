@@ -15,13 +15,13 @@ from adcbf_cli.core.planning.reference import ReferencePath
 from adcbf_cli.core.replay.closed_loop import PerceptionFeed
 from adcbf_cli.core.replay.drive_log import DriveLog, Setting
 from adcbf_cli.core.replay.log_path import LogPath, inputs_of
-from adcbf_cli.core.replay.records import Drive
+from adcbf_cli.core.replay.records import LOGGED, Drive
 from adcbf_cli.core.replay.world import RecordedWorld
 from adcbf_cli.core.types import FloatArray, Notes, Predictions
 from adcbf_cli.core.vehicles.vehicle import Vehicle
 
-LOGGED = "logged"
-"""The name of the log's own driver."""
+LOST_M = 1.0
+"""A vehicle that is nearer to another place of its path by this has jumped there."""
 
 SPEED_TOLERANCE = 0.05
 MAX_SHARE_BEYOND = 0.01
@@ -133,10 +133,4 @@ def _rounded_up(speed_mps: float) -> float:
 def _along(path: ReferencePath, point_m: FloatArray, last_m: float | None) -> float:
     """Progress along the path: near the last one, unless the vehicle is nowhere near there any more, as
     after a gap in the log's poses."""
-    near_last = path.nearest(point_m, last_m)
-    if last_m is None:
-        return near_last
-    anywhere = path.nearest(point_m)
-    place = path.at(np.array([near_last, anywhere]))[:, :2]
-    lost_m, found_m = np.hypot(*(place - point_m).T)
-    return anywhere if lost_m > found_m + 1.0 else near_last
+    return path.nearest(point_m) if last_m is None else path.nearest_or_found(point_m, last_m, LOST_M)

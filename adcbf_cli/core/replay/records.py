@@ -7,6 +7,9 @@ from dataclasses import dataclass
 
 from adcbf_cli.core.types import BoolArray, FloatArray, IntArray
 
+LOGGED = "logged"
+"""The planner name of the log's own driver."""
+
 
 class Result(enum.StrEnum):
     """How a drive ended. Open-loop drives have none."""

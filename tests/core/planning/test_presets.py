@@ -113,7 +113,7 @@ def test_a_barrier_that_is_none_is_refused_unless_asked_for(settings: dict[str, 
 def test_a_barrier_s_settings_do_not_matter_to_planners_without_one() -> None:
     planning = PlanningConfig(barrier_form="printed")
     for name in ("dwa", "apf", "pure-pursuit", "mpc-dc"):
-        make_planner(name, VEHICLE, planning, Notes())
+        assert make_planner(name, VEHICLE, planning, Notes()).name == name
 
 
 def test_planners_of_one_name_share_nothing() -> None:
