@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
@@ -161,6 +162,28 @@ class Samples:
         return len(self.id)
 
 
+class TrueWorld(Protocol):
+    """What drives are measured against."""
+
+    def at(self, stamp_ns: int) -> WorldObjects:
+        """The things that are there at this time."""
+        ...
+
+    def nearest(self, point_m: FloatArray, body_radius_m: float, stamp_ns: int) -> tuple[float, int]:
+        """Distance from the circle around a point (2,) to the nearest surface, and whose it is; NaN and
+        NO_ID where nothing is known to be there."""
+        ...
+
+
+def nearest_of(objects: WorldObjects, point_m: FloatArray, body_radius_m: float) -> tuple[float, int]:
+    """`TrueWorld.nearest` among these."""
+    if not len(objects):
+        return float("nan"), NO_ID
+    clearance = objects.clearance(np.asarray(point_m)[None], body_radius_m)[0]
+    nearest = int(np.argmin(clearance))
+    return float(clearance[nearest]), int(objects.id[nearest])
+
+
 class RecordedWorld:
     """The things of a recording.
 
@@ -225,14 +248,7 @@ class RecordedWorld:
         return self.at(stamp_ns).clearance(point_m, body_radius_m)
 
     def nearest(self, point_m: FloatArray, body_radius_m: float, stamp_ns: int) -> tuple[float, int]:
-        """Distance from the circle around a point (2,) to the nearest surface, and whose it is; NaN and
-        NO_ID where nothing is known to be there."""
-        objects = self.at(stamp_ns)
-        if not len(objects):
-            return float("nan"), NO_ID
-        clearance = objects.clearance(np.asarray(point_m)[None], body_radius_m)[0]
-        nearest = int(np.argmin(clearance))
-        return float(clearance[nearest]), int(objects.id[nearest])
+        return nearest_of(self.at(stamp_ns), point_m, body_radius_m)
 
 
 def _with_velocities(samples: Samples, max_gap_ns: int) -> FloatArray:

@@ -10,11 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adcbf_cli.core.simulation.scenario import CirclePath, LinePath, StandPath, WaypointPath
+from adcbf_cli.core.simulation.scenario import CirclePath, LinePath, Route, Scenario, StandPath, WaypointPath
 from adcbf_cli.core.types import FloatArray
 
 CURVE_STEPS = 256
 """Polyline segments that stand for one leg of a smooth path: a few centimetres each."""
+
+ROUTE_SPEED_MPS = 0.75
+"""Speed of a scripted ego along its scenario's route: the paper's path of 36 m takes 47 to 50 s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +43,30 @@ def motion_along(path: AnyPath, time_s: FloatArray) -> Motion:
     if isinstance(path, StandPath):
         return _stand(path, time_s)
     return _schedule(path).at(time_s)
+
+
+def route_points(route: Route) -> FloatArray:
+    """(k, 2) the route as a polyline: its points, or a dense curve through them, scaled to its length."""
+    corners = np.array(route.points_m)
+    points = _catmull_rom(corners) if route.smooth else corners
+    if route.length_m is None:
+        return points
+    steps = np.diff(points, axis=0)
+    return np.asarray(points[0] + (points - points[0]) * (route.length_m / np.hypot(steps[:, 0], steps[:, 1]).sum()))
+
+
+def ego_path(scenario: Scenario) -> AnyPath:
+    """The ego's scripted path: its own, or the scenario's route at the paper's speed."""
+    if scenario.ego.path is not None:
+        return scenario.ego.path
+    assert scenario.route is not None
+    points = route_points(scenario.route)
+    kept = points[np.concatenate([[True], np.hypot(*np.diff(points, axis=0).T) > 0])]
+    places = tuple((float(x), float(y)) for x, y in kept)
+    return WaypointPath.model_construct(
+        kind="waypoints", points_m=places, times_s=None, speed_mps=ROUTE_SPEED_MPS, pauses_s=None, start_s=0.0,
+        smooth=False,
+    )  # fmt: skip
 
 
 def _stand(path: StandPath, time_s: FloatArray) -> Motion:

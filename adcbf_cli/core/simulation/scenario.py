@@ -198,10 +198,23 @@ class Cylinder(StageConfig):
 Mover = Annotated[Person | Vehicle | Cylinder, Field(discriminator="kind")]
 
 
-class Ego(StageConfig):
-    """The robot that carries the sensor. It follows the ground under its four wheels."""
+class Route(StageConfig):
+    """The way that a robot which decides for itself is asked to go: its reference path."""
 
-    path: Path
+    points_m: Annotated[tuple[Point2, ...], Field(min_length=2, max_length=1000)]
+    smooth: bool = Field(False, description="Follow a Catmull-Rom curve through the points instead of straight legs.")
+    length_m: Length | None = Field(
+        None, description="Scale the points about the first one, so that the path gets this length."
+    )
+
+
+class Ego(StageConfig):
+    """The robot that carries the sensor. It follows the ground under its four wheels.
+
+    path: as scripted; null where the scenario has a route: then at 0.75 m/s along it.
+    """
+
+    path: Path | None = None
     wheelbase_m: Length = 0.5
     track_m: Length = 0.45
 
@@ -313,7 +326,8 @@ class Scenario(StageConfig):
     terrain: Terrain = Terrain()
     objects: Annotated[tuple[StaticObject, ...], Field(max_length=1000)] = ()
     movers: Annotated[tuple[Mover, ...], Field(max_length=200)] = ()
-    ego: Ego
+    route: Route | None = None
+    ego: Ego = Ego()
     lidar: Lidar
     odometry: Odometry = Odometry()
 
@@ -321,4 +335,10 @@ class Scenario(StageConfig):
     def _holds_a_scan(self) -> Scenario:
         if self.duration_s * self.lidar.rate_hz < 1:
             raise ValueError("duration_s is shorter than one scan")
+        return self
+
+    @model_validator(mode="after")
+    def _goes_somewhere(self) -> Scenario:
+        if self.ego.path is None and self.route is None:
+            raise ValueError("give ego.path, a scripted way, or route, one to be driven")
         return self

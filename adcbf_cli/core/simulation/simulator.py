@@ -15,7 +15,7 @@ from adcbf_cli.core.frames import invert, transform_points
 from adcbf_cli.core.simulation.lidar import base_from_sensor, firing_pattern, measured_ranges, quantise
 from adcbf_cli.core.simulation.objects import TruthBox
 from adcbf_cli.core.simulation.odometry import simulate_drift
-from adcbf_cli.core.simulation.paths import motion_along
+from adcbf_cli.core.simulation.paths import ego_path, motion_along
 from adcbf_cli.core.simulation.poses import compose
 from adcbf_cli.core.simulation.randomness import Purpose, generator
 from adcbf_cli.core.simulation.scenario import PlanarLaser, Scenario
@@ -52,6 +52,7 @@ class Simulator:
         self.world = World(scenario, self.seed)
         self.pattern = firing_pattern(scenario.lidar)
         self.base_from_sensor = base_from_sensor(scenario.lidar.mount)
+        self._path = ego_path(scenario)
         self.scans = int(np.floor(scenario.duration_s * scenario.lidar.rate_hz + 1e-9))
         self.odometry_ns = self._odometry_stamps()
         time_s = self.world.seconds(self.odometry_ns)
@@ -72,7 +73,7 @@ class Simulator:
     def world_from_base(self, time_ns: IntArray) -> FloatArray:
         """(n, 4, 4) the ego's true pose at (n,) times."""
         ego = self.scenario.ego
-        motion = motion_along(ego.path, self.world.seconds(time_ns))
+        motion = motion_along(self._path, self.world.seconds(time_ns))
         return rest_on_wheels(self.world.ground, motion.x_m, motion.y_m, motion.yaw_rad, ego.wheelbase_m, ego.track_m)
 
     def odom_from_base(self, time_ns: IntArray) -> FloatArray:

@@ -16,7 +16,7 @@ import numpy as np
 from adcbf_cli.core.errors import UsageError
 from adcbf_cli.core.open3d_import import load_open3d
 from adcbf_cli.core.simulation.objects import MovingThing, StaticThing, TruthBox, build_mover, build_static
-from adcbf_cli.core.simulation.paths import motion_along
+from adcbf_cli.core.simulation.paths import ego_path, motion_along
 from adcbf_cli.core.simulation.randomness import Purpose, generator
 from adcbf_cli.core.simulation.scenario import Scenario
 from adcbf_cli.core.simulation.shapes import Mesh, merge
@@ -96,8 +96,15 @@ class World:
     def truth(self, time_ns: IntArray) -> list[TruthBox]:
         """Every object's box at (n,) times; the list's index is the object's id."""
         time_s = self.seconds(time_ns)
-        moving = [thing.truth(time_s) for thing in self.movers]
-        return moving + [thing.truth(time_s) for thing in self.statics]
+        return self.movers_truth(time_s) + self.statics_truth(time_s)
+
+    def movers_truth(self, time_s: FloatArray) -> list[TruthBox]:
+        """The movers' boxes at (n,) seconds from the scenario's start."""
+        return [thing.truth(time_s) for thing in self.movers]
+
+    def statics_truth(self, time_s: FloatArray) -> list[TruthBox]:
+        """The boxes of what stands, at (n,) seconds from the scenario's start."""
+        return [thing.truth(time_s) for thing in self.statics]
 
 
 class _Body:
@@ -171,7 +178,7 @@ def _distance_to_plane(
 def _check_on_ground(scenario: Scenario, ground: HeightField) -> None:
     """Raises UsageError for a path or an object that leaves the terrain."""
     times = np.linspace(0.0, scenario.duration_s, 1000)
-    paths = [("ego.path", scenario.ego.path)]
+    paths = [("route" if scenario.ego.path is None else "ego.path", ego_path(scenario))]
     paths += [(f"movers.{index}.path", mover.path) for index, mover in enumerate(scenario.movers)]
     for key, path in paths:
         motion = motion_along(path, times)
