@@ -14,10 +14,10 @@ from typing import Self
 import numpy as np
 
 from adcbf_cli.core.config import ReadConfig
+from adcbf_cli.core.deskew import knot_offsets_ns, move_points, place_points
 from adcbf_cli.core.frames import StampedTransform, invert
 from adcbf_cli.core.types import FloatArray, Frame, Notes, Scan
 from adcbf_cli.io.logs import open_scans
-from adcbf_cli.io.motion import knot_offsets_ns, move_points, place_points
 from adcbf_cli.io.placement import EXTRAPOLATE_NS, Placement
 from adcbf_cli.io.selection import Selection
 

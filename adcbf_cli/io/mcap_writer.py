@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from adcbf_cli.core.frames import quaternion_from_rotation
+from adcbf_cli.core.simulation.odometry import as_recorded
 from adcbf_cli.core.types import FloatArray, Scan
 from adcbf_cli.io.atomic import atomic_path
 
@@ -120,11 +121,11 @@ class LogWriter:
         """An Odometry message: pose (4, 4) of child in frame_id, forward speed and turn rate of child."""
         types = self._types
         vector = types["geometry_msgs/msg/Vector3"]
-        forward, turn = _rounded(np.array([speed_mps, turn_radps]))
+        forward, turn = as_recorded(np.array([speed_mps, turn_radps]))
         twist = types["geometry_msgs/msg/Twist"](
             linear=vector(x=forward, y=0.0, z=0.0), angular=vector(x=0.0, y=0.0, z=turn)
         )
-        x, y, z = _rounded(pose[:3, 3])
+        x, y, z = as_recorded(pose[:3, 3])
         place = types["geometry_msgs/msg/Pose"](
             position=types["geometry_msgs/msg/Point"](x=x, y=y, z=z), orientation=self._quaternion(pose)
         )
@@ -140,7 +141,7 @@ class LogWriter:
     def write_transform(self, parent: str, child: str, stamp_ns: int, pose: FloatArray, static: bool = False) -> None:
         """One transform (4 x 4, parent_from_child) on /tf or /tf_static."""
         types = self._types
-        x, y, z = _rounded(pose[:3, 3])
+        x, y, z = as_recorded(pose[:3, 3])
         transform = types["geometry_msgs/msg/Transform"](
             translation=types["geometry_msgs/msg/Vector3"](x=x, y=y, z=z), rotation=self._quaternion(pose)
         )
@@ -151,7 +152,7 @@ class LogWriter:
         self._write(topic, TF, types[TF](transforms=[stamped]), stamp_ns, stamp_ns, latched=static)
 
     def _quaternion(self, pose: FloatArray) -> Any:
-        x, y, z, w = _rounded(quaternion_from_rotation(pose[:3, :3]))
+        x, y, z, w = as_recorded(quaternion_from_rotation(pose[:3, :3]))
         return self._types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
 
     def _header(self, stamp_ns: int, frame_id: str) -> Any:
@@ -180,12 +181,6 @@ class LogWriter:
             text, _ = self._store.generate_msgdef(msgtype, ros_version=2)
             self._schemas[msgtype] = self._writer.register_schema(name=msgtype, encoding="ros2msg", data=text.encode())
         return self._schemas[msgtype]
-
-
-def _rounded(values: FloatArray) -> list[float]:
-    """To nine decimals: another processor's sine may differ in its last bit, the log's bytes must not.
-    Adding zero turns -0.0 into 0.0."""
-    return [float(value) for value in np.round(values, 9) + 0.0]
 
 
 @contextmanager

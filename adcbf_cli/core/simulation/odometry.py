@@ -18,6 +18,12 @@ from adcbf_cli.core.simulation.scenario import Odometry
 from adcbf_cli.core.types import FloatArray
 
 
+def as_recorded(values: FloatArray) -> list[float]:
+    """To the nine decimals that a log gets: another processor's sine may differ in its last bit, the log's
+    bytes must not. Adding zero turns -0.0 into 0.0."""
+    return [float(value) for value in np.round(values, 9) + 0.0]
+
+
 @dataclass(frozen=True, slots=True)
 class Drift:
     """odom_from_world at (k,) times, as a planar shift and turn: x_m, y_m, yaw_rad (k,)."""

@@ -1,7 +1,7 @@
 """A scenario, run: one scan after another with the poses and the truth that belong to it.
 
-No file is needed: tests, benchmarks and closed-loop replay take scans from here; `adcbf simulate`
-writes them to a log.
+No file is needed: tests, benchmarks and closed loops take scans from here; `adcbf simulate` writes
+them to a log. The ego goes as its scenario scripts it, or as a vehicle drives it while scans are taken.
 """
 
 from __future__ import annotations
@@ -11,17 +11,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adcbf_cli.core.frames import invert, transform_points
+from adcbf_cli.core.deskew import knot_offsets_ns, move_points
+from adcbf_cli.core.frames import Trajectory, invert, pose_matrix, quaternion_from_rotation
+from adcbf_cli.core.simulation.driven import EgoMotion, ScriptedMotion
 from adcbf_cli.core.simulation.lidar import base_from_sensor, firing_pattern, measured_ranges, quantise
 from adcbf_cli.core.simulation.objects import TruthBox
-from adcbf_cli.core.simulation.odometry import simulate_drift
-from adcbf_cli.core.simulation.paths import ego_path, motion_along
+from adcbf_cli.core.simulation.odometry import Drift, as_recorded, simulate_drift
 from adcbf_cli.core.simulation.poses import compose
 from adcbf_cli.core.simulation.randomness import Purpose, generator
 from adcbf_cli.core.simulation.scenario import PlanarLaser, Scenario
 from adcbf_cli.core.simulation.terrain import rest_on_wheels
 from adcbf_cli.core.simulation.world import NS_PER_S, World
 from adcbf_cli.core.types import FloatArray, Frame, IntArray, Scan
+
+ALL_POSES_NS = 3600 * NS_PER_S
+"""Odometry samples are never this far apart: every two neighbours are interpolated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +34,8 @@ class SimulatedScan:
 
     scan: as a driver would publish it, in the sensor's frame, not corrected for motion.
     range_m: (columns, channels) the measured ranges, inf without a return.
-    frame: the same scan placed in the world by the odometry, corrected for the ego's motion.
+    frame: the same scan placed in the world by the odometry, corrected for the ego's motion, as
+        reading the log back would.
     object_id: (n,) the truth id that each point lies on, NO_ID for the ground.
     world_from_base, odom_from_base: (4, 4) at the stamp; they differ by the odometry's drift.
     """
@@ -44,40 +49,66 @@ class SimulatedScan:
 
 
 class Simulator:
-    """A scenario and seed, ready to run. `seed` None takes the scenario's own."""
+    """A scenario and seed, ready to run. `seed` None takes the scenario's own; `motion` None its own ego.
 
-    def __init__(self, scenario: Scenario, seed: int | None = None) -> None:
+    A motion may still grow: `scan` and `odom_from_base` answer for what lies before its end.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int | None = None, motion: EgoMotion | None = None) -> None:
         self.scenario = scenario
         self.seed = scenario.seed if seed is None else seed
         self.world = World(scenario, self.seed)
         self.pattern = firing_pattern(scenario.lidar)
         self.base_from_sensor = base_from_sensor(scenario.lidar.mount)
-        self._path = ego_path(scenario)
-        self.scans = int(np.floor(scenario.duration_s * scenario.lidar.rate_hz + 1e-9))
-        self.odometry_ns = self._odometry_stamps()
-        time_s = self.world.seconds(self.odometry_ns)
-        self._drift = simulate_drift(
-            scenario.odometry, time_s, self.world_from_base(self.odometry_ns), generator(self.seed, Purpose.ODOMETRY)
-        )
+        self._motion: EgoMotion = ScriptedMotion(scenario) if motion is None else motion
+        self._scripted = motion is None
+        self._odometry_step_ns = round(NS_PER_S / scenario.odometry.rate_hz)
+        self._mount = pose_matrix(*_as_recorded(self.base_from_sensor))
+        self._odometry_ns: list[int] = []
+        self._true_poses = np.zeros((0, 4, 4))
+        self._drift: Drift | None = None
+        self._reported = Trajectory()
+        self._follow_odometry()
+
+    @property
+    def scans(self) -> int:
+        """How many scans end before the motion does."""
+        length_ns = self._motion.end_ns - self.world.start_ns
+        if self._scripted:
+            return length_ns // self.pattern.period_ns
+        count = max(0, (length_ns - int(self.pattern.offset_ns.max())) // self.pattern.period_ns + 1)
+        while count and self._until_pose_ns(count - 1) > length_ns:
+            count -= 1
+        return count
+
+    @property
+    def odometry_ns(self) -> IntArray:
+        """(k,) stamps of the odometry so far; a script's go one step beyond its end."""
+        self._follow_odometry()
+        return np.array(self._odometry_ns, dtype=np.int64)
 
     def stamps(self) -> IntArray:
         """(scans,) each scan's stamp."""
         return self.world.start_ns + np.arange(self.scans, dtype=np.int64) * self.pattern.period_ns
 
-    def _odometry_stamps(self) -> IntArray:
-        """Stamps from the first scan's to the last one's end, and one beyond."""
-        step = round(NS_PER_S / self.scenario.odometry.rate_hz)
-        length = self.scans * self.pattern.period_ns
-        return self.world.start_ns + np.arange(-(-length // step) + 2, dtype=np.int64) * step
+    def ready_ns(self, index: int) -> int:
+        """When a scan can be read: it has ended, and the odometry of its end has come."""
+        return self.world.start_ns + self._until_pose_ns(index)
+
+    def _until_pose_ns(self, index: int) -> int:
+        end_ns = index * self.pattern.period_ns + int(self.pattern.offset_ns.max())
+        return -(-end_ns // self._odometry_step_ns) * self._odometry_step_ns
 
     def world_from_base(self, time_ns: IntArray) -> FloatArray:
         """(n, 4, 4) the ego's true pose at (n,) times."""
         ego = self.scenario.ego
-        motion = motion_along(self._path, self.world.seconds(time_ns))
-        return rest_on_wheels(self.world.ground, motion.x_m, motion.y_m, motion.yaw_rad, ego.wheelbase_m, ego.track_m)
+        place = self._motion.at(time_ns)
+        return rest_on_wheels(self.world.ground, place[:, 0], place[:, 1], place[:, 2], ego.wheelbase_m, ego.track_m)
 
     def odom_from_base(self, time_ns: IntArray) -> FloatArray:
         """(n, 4, 4) the pose that odometry reports."""
+        self._follow_odometry()
+        assert self._drift is not None
         return compose(self._drift.at(self.world.seconds(time_ns)), self.world_from_base(time_ns))
 
     def truth(self, time_ns: IntArray) -> list[TruthBox]:
@@ -85,11 +116,13 @@ class Simulator:
         return self.world.truth(time_ns)
 
     def __iter__(self) -> Iterator[SimulatedScan]:
-        for index, stamp_ns in enumerate(self.stamps()):
-            yield self._scan(index, int(stamp_ns))
+        for index in range(self.scans):
+            yield self.scan(index)
 
-    def _scan(self, index: int, stamp_ns: int) -> SimulatedScan:
+    def scan(self, index: int) -> SimulatedScan:
+        """The index-th scan. ValueError where the ego has not driven that far yet."""
         lidar = self.scenario.lidar
+        stamp_ns = self.world.start_ns + index * self.pattern.period_ns
         time_ns = stamp_ns + self.pattern.offset_ns
         world_from_sensor = compose(self.world_from_base(time_ns), self.base_from_sensor)
         hits = self.world.cast(
@@ -108,16 +141,42 @@ class Simulator:
         return SimulatedScan(
             scan=scan,
             range_m=ranges,
-            frame=self._place(index, scan, column),
+            frame=self._place(index, scan),
             object_id=hits.object_id[column, channel],
             world_from_base=self.world_from_base(np.array([stamp_ns]))[0],
             odom_from_base=self.odom_from_base(np.array([stamp_ns]))[0],
         )
 
-    def _place(self, index: int, scan: Scan, column: IntArray) -> Frame:
-        """The scan as a Frame, every point carried from its own firing's pose to the stamp's."""
-        at_stamp = self.odom_from_base(np.array([scan.stamp_ns]))[0] @ self.base_from_sensor
-        points = scan.points_m if self.scenario.lidar.instantaneous else self._corrected(scan, column, at_stamp)
+    def _follow_odometry(self) -> None:
+        """Takes the odometry's samples up to the motion's end."""
+        step_ns, start_ns = self._odometry_step_ns, self.world.start_ns
+        length_ns = self._motion.end_ns - start_ns
+        count = -(-length_ns // step_ns) + 2 if self._scripted else length_ns // step_ns + 1
+        if count <= len(self._odometry_ns):
+            return
+        new = start_ns + np.arange(len(self._odometry_ns), count, dtype=np.int64) * step_ns
+        self._odometry_ns += new.tolist()
+        true_poses = self.world_from_base(new)
+        self._true_poses = np.concatenate([self._true_poses, true_poses])
+        time_s = self.world.seconds(np.array(self._odometry_ns))
+        # The drift is a walk from the start: the same draws give the same beginning however long it gets.
+        random = generator(self.seed, Purpose.ODOMETRY)
+        self._drift = simulate_drift(self.scenario.odometry, time_s, self._true_poses, random)
+        for stamp_ns, pose in zip(
+            new.tolist(), compose(self._drift.at(self.world.seconds(new)), true_poses), strict=True
+        ):
+            self._reported.add(stamp_ns, *_as_recorded(pose))
+
+    def _place(self, index: int, scan: Scan) -> Frame:
+        """The scan as a Frame, placed and corrected with the odometry's samples."""
+        self._follow_odometry()
+        at_stamp = self._world_from_sensor(np.array([scan.stamp_ns]))[0]
+        points = scan.points_m
+        if scan.offset_ns is not None and len(scan.offset_ns):
+            knots = knot_offsets_ns(scan.offset_ns)
+            if len(knots) > 1:
+                matrices = self._world_from_sensor(scan.stamp_ns + knots)
+                points = move_points(points, scan.offset_ns, knots, invert(at_stamp) @ matrices)
         return Frame(
             index=index,
             stamp_ns=scan.stamp_ns,
@@ -127,10 +186,12 @@ class Simulator:
             pose_known=True,
         )
 
-    def _corrected(self, scan: Scan, column: IntArray, at_stamp: FloatArray) -> FloatArray:
-        """The scan's points as seen from the sensor's pose at the stamp."""
-        at_firing = compose(self.odom_from_base(scan.stamp_ns + self.pattern.offset_ns), self.base_from_sensor)
-        at_stamp = self.odom_from_base(np.array([scan.stamp_ns]))[0] @ self.base_from_sensor
-        rotation, shift = at_firing[column, :3, :3], at_firing[column, :3, 3]
-        in_world = np.einsum("nij,nj->ni", rotation, scan.points_m) + shift
-        return transform_points(invert(at_stamp), in_world)
+    def _world_from_sensor(self, time_ns: IntArray) -> FloatArray:
+        """(n, 4, 4) by the odometry's samples, as a log's reader tells it."""
+        poses, _ = self._reported.at(time_ns, ALL_POSES_NS)
+        return np.asarray(poses @ self._mount)
+
+
+def _as_recorded(pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Position and quaternion of a pose (4, 4), as a log holds them."""
+    return np.array(as_recorded(pose[:3, 3])), np.array(as_recorded(quaternion_from_rotation(pose[:3, :3])))

@@ -54,8 +54,8 @@ class Vehicle:
             return inputs[..., 1]
         return inputs[..., 0] * np.tan(inputs[..., 1]) / self.wheelbase_m
 
-    def step(self, pose: FloatArray, inputs: FloatArray, step_s: float) -> FloatArray:
-        """Pose (..., 3) = x, y (m), yaw (rad) after `step_s` with inputs (..., 2): exact.
+    def step(self, pose: FloatArray, inputs: FloatArray, step_s: float | FloatArray) -> FloatArray:
+        """Pose (..., 3) = x, y (m), yaw (rad) after `step_s`, one or (...,), with inputs (..., 2): exact.
 
         Eq. 1 of the paper is this to first order in `step_s`.
         """
