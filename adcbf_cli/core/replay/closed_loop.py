@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Protocol
 
 import numpy as np
 
 from adcbf_cli.core.config import Config
 from adcbf_cli.core.errors import AdcbfError
 from adcbf_cli.core.planning.planner import Plan, Situation
+from adcbf_cli.core.planning.problem import Obstacles
 from adcbf_cli.core.replay.drive_log import DriveLog, Setting
-from adcbf_cli.core.replay.knowledge import Knowledge
+from adcbf_cli.core.replay.knowledge import Knowledge, Uncertainty
 from adcbf_cli.core.replay.log_path import LogPath
 from adcbf_cli.core.replay.records import Drive, Result
 from adcbf_cli.core.replay.routes import Entry
@@ -50,7 +52,7 @@ def replay(
     """
     setting = Setting(world, log_path, vehicle, config)
     feed = PerceptionFeed(predictions, setting, notes)
-    drives = [_Driver(entry, setting, clock, notes) for entry in entries]
+    drives = [Driver(entry, setting, clock, notes) for entry in entries]
     under_way = list(drives)
     while under_way:
         driver = min(under_way, key=lambda d: d.stamp_ns)
@@ -85,8 +87,17 @@ class PerceptionFeed:
         return self._knowledge
 
 
-class _Driver:
-    """One drive under way. stamp_ns: its next tick. result: None while it drives."""
+class Known(Protocol):
+    """What a planner may know of obstacles at a time; see `Knowledge.obstacles`."""
+
+    def obstacles(
+        self, stamp_ns: int, ego_m: FloatArray, range_m: float, steps: int, step_s: float, uncertainty: Uncertainty
+    ) -> Obstacles: ...
+
+
+class Driver:
+    """One drive under way. stamp_ns: its next tick; pose (3,) there, and the inputs (2,) that led to it.
+    result: None while it drives."""
 
     def __init__(self, entry: Entry, setting: Setting, clock: Callable[[], int], notes: Notes) -> None:
         self._entry = entry
@@ -96,8 +107,8 @@ class _Driver:
         self._period_s = 1.0 / setting.config.planning.rate_hz
         self._log = DriveLog(setting, entry.planner.name, entry.seed, entry.path, entry.keep_stages)
         self._tick = 0
-        self._pose = np.array(entry.start_pose, dtype=float)
-        self._inputs = np.array(entry.start_inputs, dtype=float)
+        self.pose = np.array(entry.start_pose, dtype=float)
+        self.inputs = np.array(entry.start_inputs, dtype=float)
         self._along_m = 0.0
         self._touched: tuple[float, int] | None = None
         nominal_s = entry.path.length_m / entry.path.speed_mps
@@ -105,12 +116,13 @@ class _Driver:
         self.stamp_ns = entry.start_ns
         self.result: Result | None = None
 
-    def step(self, knowledge: Knowledge) -> None:
+    def step(self, knowledge: Known, believed: FloatArray | None = None) -> None:
         """One tick: measure, plan, and drive on to the next. The drive's last tick is planned too, but
-        what it plans is not driven."""
+        what it plans is not driven. believed: the pose (3,) that the planner takes for its own; None: the true one.
+        """
         setting, path = self._setting, self._entry.path
-        self._along_m = path.nearest(self._pose[:2], self._along_m)
-        self._log.tick(self.stamp_ns, self._pose, float(self._inputs[0]), self._along_m, self._touched)
+        self._along_m = path.nearest(self.pose[:2], self._along_m)
+        self._log.tick(self.stamp_ns, self.pose, float(self.inputs[0]), self._along_m, self._touched)
         self.result = self._end()
         if self.result is Result.COLLISION and self._tick == 0:
             self._notes.warn(
@@ -118,13 +130,14 @@ class _Driver:
                 "(vehicle.body_radius_m too large? else give another --start)"
             )
         planning = setting.config.planning
+        pose = (self.pose if believed is None else believed).copy()
         known = knowledge.obstacles(
-            self.stamp_ns, self._pose[:2], setting.range_m, planning.steps, planning.step_s, planning.uncertainty
+            self.stamp_ns, pose[:2], setting.range_m, planning.steps, planning.step_s, planning.uncertainty
         )
-        situation = Situation(self.stamp_ns, self._pose.copy(), self._inputs.copy(), path, known)
+        situation = Situation(self.stamp_ns, pose, self.inputs.copy(), path, known)
         before = self._clock()
         plan = self._entry.planner.plan(situation)
-        self._log.planned(plan, known, (self._clock() - before) / 1e6)
+        self._log.planned(plan, pose, known, (self._clock() - before) / 1e6)
         inputs = self._allowed(plan)
         self._log.applied(inputs)
         if self.result is None:
@@ -137,7 +150,7 @@ class _Driver:
         if self._log.clearance_m < 0.0:
             return Result.COLLISION
         path, replay_config = self._entry.path, self._setting.config.replay
-        to_goal_m = float(np.hypot(*(self._pose[:2] - path.goal_m)))
+        to_goal_m = float(np.hypot(*(self.pose[:2] - path.goal_m)))
         left_m = path.length_m - self._along_m
         if to_goal_m <= replay_config.goal_tolerance_m and left_m <= LEFT_TOLERANCES * replay_config.goal_tolerance_m:
             return Result.SUCCESS
@@ -150,8 +163,8 @@ class _Driver:
         vehicle, wanted = self._setting.vehicle, np.asarray(plan.inputs[0], dtype=float)
         if not np.isfinite(wanted).all():
             self._notes.count("plans_without_finite_inputs")
-            wanted = vehicle.braking(self._inputs, 1, self._period_s)[0]
-        inputs = vehicle.limited(wanted, self._inputs, self._period_s)
+            wanted = vehicle.braking(self.inputs, 1, self._period_s)[0]
+        inputs = vehicle.limited(wanted, self.inputs, self._period_s)
         if np.abs(inputs - wanted).max() > INPUT_TOLERANCE:
             self._notes.count("plans_beyond_the_vehicles_limits")
         return inputs
@@ -161,9 +174,9 @@ class _Driver:
         start_ns = self.stamp_ns
         self._tick += 1
         self.stamp_ns = self._entry.start_ns + round(self._tick * 1e9 * self._period_s)
-        moved = self._setting.vehicle.step(self._pose, inputs, self._period_s)
-        self._touched = first_touch(self._setting, self._pose, inputs, start_ns, self.stamp_ns)
-        self._pose, self._inputs = moved, inputs
+        moved = self._setting.vehicle.step(self.pose, inputs, self._period_s)
+        self._touched = first_touch(self._setting, self.pose, inputs, start_ns, self.stamp_ns)
+        self.pose, self.inputs = moved, inputs
 
 
 def first_touch(

@@ -13,7 +13,7 @@ from adcbf_cli.core.planning.pursuit import horizon
 from adcbf_cli.core.planning.reference import ReferencePath
 from adcbf_cli.core.replay.log_path import LogPath
 from adcbf_cli.core.replay.records import Drive, PlanStages, PlanSteps, Result
-from adcbf_cli.core.replay.world import RecordedWorld
+from adcbf_cli.core.replay.world import TrueWorld
 from adcbf_cli.core.types import NO_ID, BoolArray, FloatArray, IntArray
 from adcbf_cli.core.vehicles.vehicle import Vehicle
 
@@ -22,7 +22,7 @@ from adcbf_cli.core.vehicles.vehicle import Vehicle
 class Setting:
     """What all drives of a replay share."""
 
-    world: RecordedWorld
+    world: TrueWorld
     log_path: LogPath
     vehicle: Vehicle
     config: Config
@@ -125,11 +125,12 @@ class DriveLog:
             )
         )
 
-    def planned(self, plan: Plan, known: Obstacles, solve_ms: float) -> None:
-        """Adds what was planned at the newest tick, knowing these obstacles."""
+    def planned(self, plan: Plan, pose: FloatArray, known: Obstacles, solve_ms: float) -> None:
+        """Adds what was planned at the newest tick, from where the planner took itself to be (3,), knowing
+        these obstacles."""
         planning, vehicle = self._setting.config.planning, self._setting.vehicle
         now = self._ticks[-1]
-        reference = horizon(vehicle, self._path, now.along_m, now.pose, planning.steps, planning.step_s)
+        reference = horizon(vehicle, self._path, now.along_m, pose, planning.steps, planning.step_s)
         away = plan.poses[: len(reference), :2] - reference[: len(plan.poses), :2]
         near_m = vehicle.body_radius_m + planning.safety_distance_m
         details = plan.details

@@ -66,7 +66,7 @@ def plan_along(
             situation = Situation(stamp_ns, pose.copy(), applied.copy(), path, known)
             before = clock()
             plan = planner.plan(situation)
-            log.planned(plan, known, (clock() - before) / 1e6)
+            log.planned(plan, pose, known, (clock() - before) / 1e6)
             log.applied(inputs)
             error.append(plan_error(plan.poses, log_path, stamp_ns, planning.step_s))
     period_s = scan_period_s(log_path)
