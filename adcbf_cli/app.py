@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 import adcbf_cli
-from adcbf_cli.commands import cluster, config, evaluate, info, plan, predict, replay, run, simulate, track
+from adcbf_cli.commands import cluster, config, evaluate, info, plan, predict, replay, reproduce, run, simulate, track
 from adcbf_cli.core.errors import EXIT_FAILED, AdcbfError
 
 EXIT_INTERRUPTED = 128 + signal.SIGINT
@@ -33,7 +33,7 @@ Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done but part of the input was lo
 threshold was missed.""",
 )
 
-for module in (info, run, cluster, track, predict, evaluate, plan, replay, simulate):
+for module in (info, run, cluster, track, predict, evaluate, plan, replay, simulate, reproduce):
     app.command(module.__name__.rpartition(".")[2])(getattr(module, module.__name__.rpartition(".")[2]))
 app.add_typer(config.app, name="config")
 
