@@ -8,10 +8,8 @@ log, CSV, topic -> route --------+
 from __future__ import annotations
 
 import json
-import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +18,7 @@ import numpy as np
 import typer
 
 from adcbf_cli.commands.options import Driving, Shared, parse_seeds
-from adcbf_cli.commands.terminal import print_json, print_table, progress, say, show_notes
+from adcbf_cli.commands.terminal import COMPILING, patience, print_json, print_table, progress, say, show_notes
 from adcbf_cli.core.errors import EXIT_THRESHOLD, AdcbfError, UsageError
 from adcbf_cli.io.run_folder import DRIVING
 
@@ -38,7 +36,6 @@ if TYPE_CHECKING:
     from adcbf_cli.core.types import FloatArray, Notes, Predictions
     from adcbf_cli.core.vehicles.vehicle import Vehicle
 
-_SOON_S = 2.0
 _COUNTERFACTUAL = (
     "Counterfactual: the recorded obstacles moved as they did and would not have reacted to this vehicle; what its "
     "own sensor would have seen is taken from the log's."
@@ -196,7 +193,7 @@ def _set_up(
     spec = str(job.log) if driving.truth is None and is_object_list(job.log) else driving.truth
     place_truth = None if spec is None else read_truth(spec, job.log)
     vehicle = Vehicle.from_config(job.config.vehicle)
-    with _patience("compiling the solver for this machine; this happens once"):
+    with patience(COMPILING):
         for name in names:  # an unusable setting is told before the stages run
             make_planner(name, vehicle, job.config.planning, Notes())
     outcome = run_stages(job, "predict", shared.force)
@@ -222,18 +219,6 @@ def _speed(config: Config, log_path: LogPath, kind: str) -> float:
     if kind == "plan" and log_path.known and config.planning.reference_speed_mps is None:
         return min(logged_speed(log_path), config.vehicle.max_speed_mps)
     return reference_speed(config)
-
-
-@contextmanager
-def _patience(text: str) -> Iterator[None]:
-    """Says `text` where the block takes longer than a person expects."""
-    timer = threading.Timer(_SOON_S, say, (text,))
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
 
 
 def _log_path(job: Job, outcome: Outcome, kind: str) -> LogPath:

@@ -4,13 +4,32 @@ from __future__ import annotations
 
 import json
 import sys
+import threading
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
     from adcbf_cli.core.types import Notes
 
 T = TypeVar("T")
+
+
+_SOON_S = 2.0
+
+COMPILING = "compiling the solver for this machine; this happens once"
+
+
+@contextmanager
+def patience(text: str) -> Iterator[None]:
+    """Says `text` where the block takes longer than a person expects."""
+    timer = threading.Timer(_SOON_S, say, (text,))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def print_json(document: Any) -> None:

@@ -14,10 +14,11 @@ import zstandard
 from mcap.reader import make_reader
 from typer.testing import CliRunner
 
-from adcbf_cli.commands.simulate import simulate, write_log
+from adcbf_cli.commands.simulate import simulate
 from adcbf_cli.core.errors import UsageError
 from adcbf_cli.core.simulation.parsing import parse_scenario
 from adcbf_cli.core.simulation.simulator import Simulator
+from adcbf_cli.io.simulation_log import write_log
 from adcbf_cli.io.truth_writer import COLUMNS
 
 SAMPLE_ZSTD = (1, 5, 7)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from adcbf_cli.commands.simulate import write_log
 from adcbf_cli.core.config import ReadConfig
 from adcbf_cli.core.simulation.poses import poses
 from adcbf_cli.core.simulation.scenario import Scenario
@@ -17,6 +16,7 @@ from adcbf_cli.core.simulation.simulator import Simulator
 from adcbf_cli.core.types import Frame, Notes, Scan
 from adcbf_cli.io.frame_reader import FrameReader
 from adcbf_cli.io.mcap_writer import LaserSweep, open_log
+from adcbf_cli.io.simulation_log import write_log
 
 START_NS = 1_700_000_000_123_456_789
 

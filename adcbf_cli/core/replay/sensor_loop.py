@@ -52,6 +52,7 @@ class SceneDrive:
     known_since_ns: by the truth's id, when the tracker first reported a thing; it is not there if never.
     stage_ms: wall milliseconds by stage: "simulate", "cluster", "track", "predict" a scan, "plan" a tick.
     motion: where the vehicle was at any time of the drive, for taking its scans again.
+    goal_m: (2,) where it was to go; limit_ns: until when.
     """
 
     drive: Drive
@@ -59,6 +60,8 @@ class SceneDrive:
     known_since_ns: dict[int, int]
     stage_ms: dict[str, list[float]]
     motion: DrivenMotion
+    goal_m: FloatArray
+    limit_ns: int
 
 
 def route_of(scenario: Scenario, config: Config) -> ReferencePath:
@@ -108,7 +111,7 @@ def drive_scene(
     drive = driver.drive()
     assert drive.steps is not None
     stage_ms = {**senses.stage_ms, "plan": drive.steps.solve_ms.tolist()}
-    return SceneDrive(drive, world, senses.known_since_ns, stage_ms, motion)
+    return SceneDrive(drive, world, senses.known_since_ns, stage_ms, motion, path.goal_m, end_ns)
 
 
 @dataclass(slots=True)
