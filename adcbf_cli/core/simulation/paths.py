@@ -10,7 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adcbf_cli.core.simulation.scenario import CirclePath, LinePath, Route, Scenario, StandPath, WaypointPath
+from adcbf_cli.core.simulation.scenario import (
+    CirclePath,
+    CrossingPath,
+    LinePath,
+    Route,
+    Scenario,
+    StandPath,
+    WaypointPath,
+)
 from adcbf_cli.core.types import FloatArray
 
 CURVE_STEPS = 256
@@ -53,6 +61,41 @@ def route_points(route: Route) -> FloatArray:
         return points
     steps = np.diff(points, axis=0)
     return np.asarray(points[0] + (points - points[0]) * (route.length_m / np.hypot(steps[:, 0], steps[:, 1]).sum()))
+
+
+def beside(way_m: FloatArray, along_m: float, aside_m: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    """The (2,) point at an arc length along a polyline (k, 2), shifted to its left by aside_m, and the
+    polyline's (2,) unit direction there. Beyond its ends the polyline goes on straight."""
+    kept = way_m[np.concatenate([[True], np.any(np.diff(way_m, axis=0) != 0, axis=1)])]
+    steps = np.diff(kept, axis=0)
+    length = np.hypot(steps[:, 0], steps[:, 1])
+    start = np.concatenate([[0.0], np.cumsum(length)[:-1]])
+    segment = int(np.clip(np.searchsorted(start, along_m, side="right") - 1, 0, len(steps) - 1))
+    ahead = steps[segment] / length[segment]
+    left = np.array([-ahead[1], ahead[0]])
+    return kept[segment] + (along_m - start[segment]) * ahead + aside_m * left, ahead
+
+
+def crossing_line(path: CrossingPath, way_m: FloatArray) -> LinePath | StandPath:
+    """The line that crosses a route (k, 2) as asked. Where its walk would begin before the scenario does,
+    it begins at where it would be by then; where it would be over by then, the mover stands at its end."""
+    point, ahead = beside(way_m, path.along_m)
+    angle = np.deg2rad(path.angle_deg)
+    cos, sin = np.cos(angle), np.sin(angle)
+    direction = np.array([cos * ahead[0] - sin * ahead[1], sin * ahead[0] + cos * ahead[1]])
+    meets_s = path.along_m / ROUTE_SPEED_MPS - path.early_s if path.meets_s is None else path.meets_s
+    before_m = min(path.before_m, meets_s * path.speed_mps)
+    end = _pair(point + path.after_m * direction)
+    if before_m <= -path.after_m:
+        return StandPath(kind="stand", at_m=end, yaw_deg=float(np.rad2deg(np.arctan2(direction[1], direction[0]))))
+    start_s = max(0.0, meets_s - before_m / path.speed_mps)
+    return LinePath(
+        kind="line", from_m=_pair(point - before_m * direction), to_m=end, speed_mps=path.speed_mps, start_s=start_s
+    )
+
+
+def _pair(point: FloatArray) -> tuple[float, float]:
+    return float(point[0]), float(point[1])
 
 
 def ego_path(scenario: Scenario) -> AnyPath:

@@ -13,6 +13,7 @@ class Purpose(enum.IntEnum):
     SHAPES = 1
     RANGING = 2
     ODOMETRY = 3
+    SCENE = 4
 
 
 def generator(seed: int, purpose: Purpose, index: int = 0) -> np.random.Generator:

@@ -91,6 +91,28 @@ class CirclePath(StageConfig):
         return self
 
 
+class CrossingPath(StageConfig):
+    """Walk straight over the route, timed by when an ego is there. Only a scenario file holds one: it becomes
+    the line that it means."""
+
+    kind: Literal["crossing"]
+    along_m: NonNegative = Field(description="Where on the route, as arc length from its start.")
+    angle_deg: float = Field(90.0, description="Direction of motion from the route's: 90 is from right to left.")
+    speed_mps: Positive
+    meets_s: NonNegative | None = Field(
+        None, description="When it is on the route; null: when an ego at 0.75 m/s is there."
+    )
+    early_s: float = Field(0.0, description="It is there this much before the ego; negative: after.")
+    before_m: Length = Field(5.0, description="Way walked before the route.")
+    after_m: Length = Field(5.0, description="Way walked after the route.")
+
+    @model_validator(mode="after")
+    def _is_timed_once(self) -> CrossingPath:
+        if self.meets_s is not None and self.early_s:
+            raise ValueError("give either meets_s or early_s")
+        return self
+
+
 Path = Annotated[StandPath | LinePath | WaypointPath | CirclePath, Field(discriminator="kind")]
 
 
@@ -205,6 +227,12 @@ class Route(StageConfig):
     smooth: bool = Field(False, description="Follow a Catmull-Rom curve through the points instead of straight legs.")
     length_m: Length | None = Field(
         None, description="Scale the points about the first one, so that the path gets this length."
+    )
+    keep_free_m: Annotated[float, Field(ge=0.5, le=1000)] = Field(
+        1.0, description="What is drawn at random keeps this far from the start, and what rests also from the goal."
+    )
+    passage_m: NonNegative = Field(
+        0.0, description="Objects that are drawn at random leave at least this much room between one another."
     )
 
 
