@@ -256,6 +256,11 @@ class PlanningConfig(StageConfig):
         "none", description="What the predicted position's uncertainty adds to an obstacle's radius."
     )
     hard: bool = Field(False, description="No slack: what cannot be met is infeasible, and counted.")
+    fallback: Literal["ladder", "none"] = Field(
+        "ladder",
+        description="none: the MPC planners' solutions are driven whatever they are, and the last one goes on where "
+        "there is none: to see what the ladder is worth.",
+    )
     slack_weight: Positive = Field(1000.0, description="Cost of a barrier violation, per m^2 (L1).")
     decay_weight: Positive = Field(10.0, description="od-ad-cbf-mpc: cost of (decay - 1)^2.")
     gamma_fixed: Annotated[float, Field(gt=0, le=1)] = Field(0.1, description="mpc-cbf, d-cbf-mpc.")

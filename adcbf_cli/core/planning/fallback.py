@@ -39,9 +39,13 @@ def braking(vehicle: Vehicle, situation: Situation, steps: int, step_s: float, f
     """Braking from the inputs that the vehicle has now; STOPPED where it stands already."""
     wanted = vehicle.braking(situation.inputs, steps, step_s, first_step_s)
     inputs = vehicle.within_limits(wanted, situation.inputs, step_s, first_step_s)
-    stands = abs(float(situation.inputs[0])) < STANDING_MPS
     poses = vehicle.roll_out(situation.pose, inputs, step_s)
-    return Plan(Outcome.STOPPED if stands else Outcome.BRAKED, inputs, poses, None)
+    return Plan(Outcome.STOPPED if stands(situation.inputs) else Outcome.BRAKED, inputs, poses, None)
+
+
+def stands(inputs: FloatArray) -> bool:
+    """Whether inputs (2,) are those of a vehicle that stands."""
+    return abs(float(inputs[0])) < STANDING_MPS
 
 
 def outcome_of(details: Details, hard: bool, tolerance: float = 1e-6) -> Outcome:

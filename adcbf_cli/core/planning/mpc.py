@@ -5,7 +5,7 @@ Which planner it is (gamma, decay, held or predicted obstacles) is data, in `pre
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from adcbf_cli.core.config import PlanningConfig
 from adcbf_cli.core.planning import fallback, pursuit, starts
 from adcbf_cli.core.planning.barrier import Barrier, gamma_at
 from adcbf_cli.core.planning.columns import Columns, ObstacleSet, can_bind, columns_of, nearest
-from adcbf_cli.core.planning.merit import barrier_rows
+from adcbf_cli.core.planning.merit import barrier_rows, merit
 from adcbf_cli.core.planning.planner import Details, Outcome, Plan, Situation
 from adcbf_cli.core.planning.problem import Instance, Problem, Solution, SolverStatus, Weights
 from adcbf_cli.core.planning.solvers.base import make_solver
@@ -79,17 +79,17 @@ class MpcPlanner:
     def plan(self, situation: Situation) -> Plan:
         scene = self._scene(situation)
         start, solution = self._solve(scene)
+        ladder = self._planning.fallback == "ladder"
         if solution is None:
-            self._memory = None
-            return self._braked(situation, _failed(start, scene.dropped))
+            return self._without_solution(scene) if ladder else self._going_on(scene)
         self._memory = _Memory(situation.stamp_ns, solution.inputs)
         inputs = self._guarded(solution.inputs, situation.inputs)
         details = self._details(scene, start, solution, inputs)
         poses = self._problem.vehicle.roll_out(situation.pose, inputs, self._problem.step_s)
-        outcome = fallback.outcome_of(details, self._planning.hard)
+        outcome = fallback.outcome_of(details, self._planning.hard and ladder)
         if outcome is Outcome.BRAKED:
             return self._braked(situation, details)
-        if outcome is Outcome.RELAXED and not self._may_relax(scene, poses):
+        if ladder and outcome is Outcome.RELAXED and not self._may_relax(scene, poses):
             return self._braked(situation, details)
         return Plan(outcome, inputs, poses, details)
 
@@ -189,6 +189,29 @@ class MpcPlanner:
             float(driven[:, 0].min(initial=np.inf)),
             self._planning.safety_distance_m,
         )
+
+    def _without_solution(self, scene: _Scene) -> Plan:
+        """Braking, and the next tick starts afresh: a plan that was not renewed is not to be trusted."""
+        self._memory = None
+        return self._braked(scene.situation, _failed("", scene.dropped))
+
+    def _going_on(self, scene: _Scene) -> Plan:
+        """Without the ladder, where no start solved: the last plan goes on; held inputs where there is none.
+
+        RELAXED, with the violation that this leads to, or STOPPED where it stands and goes on standing.
+        """
+        problem, situation = self._problem, scene.situation
+        start, inputs = "shifted", self._shifted(situation)
+        if inputs is None:
+            held = np.tile(situation.inputs, (problem.steps, 1))
+            start = "held"
+            inputs = problem.vehicle.within_limits(held, situation.inputs, problem.step_s, problem.first_step_s)
+        worth = merit(problem, scene.instance, inputs)
+        unsolved = Solution(inputs, SolverStatus.FAILED, 0, worth)
+        details = replace(self._details(scene, start, unsolved, inputs), feasible=False)
+        stands = fallback.stands(situation.inputs) and fallback.stands(inputs[0])
+        poses = problem.vehicle.roll_out(situation.pose, inputs, problem.step_s)
+        return Plan(Outcome.STOPPED if stands else Outcome.RELAXED, inputs, poses, details)
 
     def _braked(self, situation: Situation, details: Details) -> Plan:
         problem = self._problem

@@ -28,7 +28,8 @@ class Outcome(enum.StrEnum):
 
     SOLVED = "solved"
     RELAXED = "relaxed"
-    """With slack or decay: a barrier is violated or weakened, by the amount in the plan's details."""
+    """With slack or decay: a barrier is violated or weakened, by the amount in the plan's details. Without the ladder
+    also a plan that no solver vouches for (status "failed")."""
     BRAKED = "braked"
     """No usable plan: the vehicle brakes within its limits."""
     STOPPED = "stopped"
@@ -39,7 +40,8 @@ class Outcome(enum.StrEnum):
 class Details:
     """What an optimising planner can say about its plan; n obstacles in the problem, N stages.
 
-    status: the solver's. start: which start won ("shifted", "reference"). merit: as in merit().
+    status: the solver's. start: which start won ("shifted", "reference"; where none was
+        solved and the plan is driven all the same, "shifted" or "held"). merit: as in merit().
     violation_m2: largest barrier violation over all rows; decay: smallest decay used (1: none).
     feasible: whether the barriers hold without slack (to 1e-6 m^2).
     track_id: (n,) whose columns follow. barrier_m2: (N + 1, n) h along the plan; gamma, slack_m2: (N, n).

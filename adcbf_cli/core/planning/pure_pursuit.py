@@ -9,7 +9,7 @@ import numpy as np
 
 from adcbf_cli.core.config import PlanningConfig
 from adcbf_cli.core.planning import pursuit
-from adcbf_cli.core.planning.fallback import STANDING_MPS, required_m, surface_m
+from adcbf_cli.core.planning.fallback import required_m, stands, surface_m
 from adcbf_cli.core.planning.planner import Outcome, Plan, Situation
 from adcbf_cli.core.planning.reference import ReferencePath
 from adcbf_cli.core.types import FloatArray
@@ -80,4 +80,4 @@ class PurePursuit:
     def _outcome(self, situation: Situation, slower: bool) -> Outcome:
         if not slower:
             return Outcome.SOLVED
-        return Outcome.STOPPED if abs(float(situation.inputs[0])) < STANDING_MPS else Outcome.BRAKED
+        return Outcome.STOPPED if stands(situation.inputs) else Outcome.BRAKED
