@@ -29,10 +29,15 @@ class Footprint:
         beyond = np.maximum(np.abs(local) - self.half_m, 0.0)
         return np.asarray(np.maximum(np.hypot(beyond[:, 0], beyond[:, 1]) - self.round_m, 0.0))
 
-    def gap_m(self, other: Footprint) -> float:
-        """The distance between two surfaces, 0 where they overlap, within a few centimetres."""
-        ways = [(self, other), (other, self)]
-        return min(max(0.0, float(b.distance_m(a._core()).min()) - a.round_m) for a, b in ways)
+    def leaves(self, room_m: float, other: Footprint) -> bool:
+        """Whether there is this much room between two surfaces, within a millimetre."""
+        apart = float(np.hypot(*(self.centre_m - other.centre_m)))
+        if apart >= self._reach_m() + other._reach_m() + room_m:
+            return True
+        return all(b.distance_m(a._core()).min() - a.round_m >= room_m for a, b in ((self, other), (other, self)))
+
+    def _reach_m(self) -> float:
+        return self.round_m + float(np.hypot(*self.half_m))
 
     def _core(self) -> FloatArray:
         """(n, 2) points along the rectangle's sides."""

@@ -129,7 +129,7 @@ class _Surroundings:
         """Away from start and goal, and with room to pass between it and all others."""
         ends = [end for end in (self.start_m, self.goal_m) if end is not None]
         return all(shape.distance_m(end[None])[0] >= self.keep_free_m for end in ends) and (
-            self.passage_m == 0 or all(shape.gap_m(other) >= self.passage_m for other in self.standing)
+            self.passage_m == 0 or all(shape.leaves(self.passage_m, other) for other in self.standing)
         )
 
     def _walks_free(self, track_m: FloatArray, radius_m: float) -> bool:

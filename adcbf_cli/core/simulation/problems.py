@@ -29,7 +29,9 @@ def first_problem(
     entries of lists come from, by their own places.
     """
     details = error.errors(include_url=False, include_context=True)
-    first = details[0]
+    beside = [one for one in details if one["loc"][:-1] == details[0]["loc"][:-1]]
+    unknown = [one for one in beside if one["type"] == "extra_forbidden"]
+    first = unknown[0] if unknown and details[0]["type"] == "missing" else details[0]  # misspelt is missing, too
     keys = tuple(_path_in_file(first["loc"], data))
     entry = (entries or {}).get(keys[:2], keys[:2])
     where = dotted((*place, *entry, *keys[2:]))

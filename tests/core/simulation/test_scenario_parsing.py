@@ -102,7 +102,90 @@ def test_every_key_is_described():
     assert scenario_keys() - words == set()
 
 
-def test_the_documented_example_is_valid():
+def test_the_documented_examples_are_valid():
     page = (Path(__file__).parents[3] / "docs" / "scenarios.md").read_text(encoding="utf-8")
-    (example,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
-    assert parse_scenario(example).movers[0].kind == "person"
+    examples = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    assert len(examples) == 2
+    for example in examples:
+        assert parse_scenario(example).movers[0].kind == "person"
+
+
+RELATIVE = MINIMAL + "route: {points_m: [[0, 0], [10, 0]]}\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (MINIMAL + "objects: [{kind: tree, beside_m: [1, 2]}]", "objects.0.beside_m: is relative to the route, and"),
+        (RELATIVE + "objects: [{kind: tree, beside_m: [1, 2, 3]}]", "objects.0.beside_m: must be [along, aside]"),
+        (
+            RELATIVE + "objects: [{kind: tree, beside_m: [1, 2], at_m: [0, 1]}]",
+            "objects.0: give either at_m or beside_m",
+        ),
+        (
+            RELATIVE + "objects: [{kind: tree, besid_m: [1, 2]}]",
+            "objects.0.besid_m: unknown key; did you mean 'beside_m'?",
+        ),
+        (RELATIVE.replace("[10, 0]", "[10, x]"), "route.points_m.1.1: should be a valid number"),
+        (
+            RELATIVE + "movers: [{kind: person, path: {kind: crossing, along_m: 5}}]",
+            "movers.0.path.speed_mps: is missing",
+        ),
+        (
+            RELATIVE + "movers: [{kind: person, path: {kind: crossing, along_m: 5, speed_mps: 1, aftr_m: 2}}]",
+            "movers.0.path.aftr_m: unknown key; did you mean 'after_m'?",
+        ),
+        (
+            RELATIVE
+            + "movers: [{kind: person, path: {kind: crossing, along_m: 5, speed_mps: 1, early_s: 1, meets_s: 2}}]",
+            "movers.0.path: give either meets_s or early_s",
+        ),
+        (RELATIVE + "movers: [{kind: person, path: {kind: fly}}]", "movers.0.path: kind 'fly' is none of"),
+        (
+            RELATIVE + "movers: [{repeat: 2, each: {kind: person, path: {kind: line, from_m: [1, 1], to_m: [2, 2]}}}]",
+            "movers.0.each.path.speed_mps: is missing (and 1 more)",
+        ),
+        (
+            RELATIVE + "objects: [{repeat: 2, each: {kind: tree, at_m: [4, 4]}, at: 1}]",
+            "objects.0: an entry that repeats",
+        ),
+        (
+            RELATIVE + "objects: [{repeat: -1, each: {kind: tree, at_m: [4, 4]}}]",
+            "objects.0.repeat: must be a whole number",
+        ),
+        (
+            RELATIVE + "objects: [{repeat: 1.5, each: {kind: tree, at_m: [4, 4]}}]",
+            "objects.0.repeat: must be a whole number",
+        ),
+        (RELATIVE + "terrain: {slope_deg: {uniform: [3, 1]}}", "terrain.slope_deg: uniform takes [lowest, highest]"),
+        (RELATIVE + "terrain: {slope_deg: {uniform: [0, .inf]}}", "terrain.slope_deg: uniform takes [lowest, highest]"),
+        (
+            RELATIVE + "terrain: {slope_deg: {integer: [0, 1.5]}}",
+            "terrain.slope_deg: integer takes [lowest, highest], two w",
+        ),
+        (RELATIVE + "terrain: {kind: {choice: []}}", "terrain.kind: choice takes a list of at least one value"),
+        (RELATIVE + "terrain: {slope_deg: {uniform: [-2, -1]}}", "terrain.slope_deg: must be >= 0"),
+        (RELATIVE + "seed: {integer: [0, 9]}", "seed: should be a valid integer"),
+        (
+            RELATIVE + "objects: [{kind: tree, beside_m: [{uniform: [0, 0.5]}, 0]}]",
+            "objects.0: no free place in 100 draws",
+        ),
+        (RELATIVE + "objects: &a [*a]", "objects.0"),
+    ],
+)
+def test_a_mistake_in_a_drawn_scene_gets_one_line_that_names_the_key(text: str, message: str):
+    with pytest.raises(UsageError) as raised:
+        parse_scenario(text, "s.yaml")
+    assert str(raised.value).startswith(f"s.yaml: {message}")
+    assert "\n" not in str(raised.value)
+
+
+def test_a_movers_path_may_also_cross_and_the_message_says_so():
+    with pytest.raises(UsageError, match=r"'circle', 'crossing'$"):
+        parse_scenario(RELATIVE + "movers: [{kind: person, path: {kind: fly}}]", "s.yaml")
+
+
+def test_aliases_that_multiply_are_refused():
+    bomb = "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]\n" for i in range(1, 9))
+    with pytest.raises(UsageError, match="holds too many values"):
+        parse_scenario(f"a0: &a0 [1]\n{bomb}", "s.yaml")
