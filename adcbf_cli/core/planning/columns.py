@@ -86,6 +86,8 @@ def can_bind(problem: Problem, pose: FloatArray, last: FloatArray, columns: Colu
 def nearest(columns: Columns, poses: FloatArray, most: int) -> tuple[Columns, int]:
     """The columns of the `most` obstacles that come closest to poses (N + 1, 3) at the same stages, and
     how many obstacles that leaves out."""
+    if len(columns) <= most:
+        return columns, 0
     gap = columns.centre_m - poses[:, :2]
     closest = (np.hypot(gap[..., 0], gap[..., 1]) - columns.keep_out_m).min(axis=1, initial=np.inf)
     ids, owner = np.unique(columns.track_id, return_inverse=True)

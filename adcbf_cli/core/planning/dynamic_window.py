@@ -120,10 +120,15 @@ class DynamicWindow:
 
 def roll_outs(vehicle: Vehicle, pose: FloatArray, inputs: FloatArray, step_s: float) -> FloatArray:
     """(arcs, N + 1, 3) as `Vehicle.roll_out`, for inputs (arcs, N, 2) from one pose."""
+    half = 0.5 * step_s * vehicle.yaw_rate(inputs)
+    chord = inputs[..., 0] * step_s * np.sinc(half / np.pi)
     poses = np.empty((inputs.shape[0], inputs.shape[1] + 1, 3))
     poses[:, 0] = pose
-    for k in range(inputs.shape[1]):
-        poses[:, k + 1] = vehicle.step(poses[:, k], inputs[:, k], step_s)
+    poses[:, 1:, 2] = 2 * half
+    np.cumsum(poses[..., 2], axis=1, out=poses[..., 2])
+    direction = poses[:, :-1, 2] + half
+    poses[:, 1:, 0], poses[:, 1:, 1] = chord * np.cos(direction), chord * np.sin(direction)
+    np.cumsum(poses[..., :2], axis=1, out=poses[..., :2])
     return poses
 
 

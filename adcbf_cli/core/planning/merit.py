@@ -44,7 +44,7 @@ def barrier_rows(problem: Problem, instance: Instance, inputs: FloatArray) -> Ro
 
     Raises ValueError where the barrier is frozen and the instance has no gamma.
     """
-    return _rows(problem, instance, problem.vehicle.roll_out(instance.pose, inputs, problem.step_s))
+    return rows_along(problem, instance, problem.vehicle.roll_out(instance.pose, inputs, problem.step_s))
 
 
 def merit(problem: Problem, instance: Instance, inputs: FloatArray) -> float:
@@ -52,7 +52,7 @@ def merit(problem: Problem, instance: Instance, inputs: FloatArray) -> float:
     poses = problem.vehicle.roll_out(instance.pose, inputs, problem.step_s)
     total = tracking_cost(problem, instance, inputs, poses)
     if len(instance):
-        rows = _rows(problem, instance, poses)
+        rows = rows_along(problem, instance, poses)
         total += problem.slack_weight * float(rows.slack_m2.sum())
         if problem.barrier.decay_weight is not None:
             total += problem.barrier.decay_weight * float(((rows.decay - 1.0) ** 2).sum())
@@ -75,7 +75,8 @@ def tracking_cost(problem: Problem, instance: Instance, inputs: FloatArray, pose
     return 0.5 * float(cost)
 
 
-def _rows(problem: Problem, instance: Instance, poses: FloatArray) -> Rows:
+def rows_along(problem: Problem, instance: Instance, poses: FloatArray) -> Rows:
+    """`barrier_rows` where the poses (N + 1, 3) that the inputs lead to are known already."""
     barrier = problem.barrier
     off = poses[:, None, :2] - instance.obstacle_m.transpose(1, 0, 2)
     squared = (off**2).sum(axis=-1)

@@ -13,7 +13,7 @@ from adcbf_cli.core.config import PlanningConfig
 from adcbf_cli.core.planning import fallback, pursuit, starts
 from adcbf_cli.core.planning.barrier import Barrier, gamma_at
 from adcbf_cli.core.planning.columns import Columns, ObstacleSet, can_bind, columns_of, nearest
-from adcbf_cli.core.planning.merit import barrier_rows, merit
+from adcbf_cli.core.planning.merit import merit, rows_along
 from adcbf_cli.core.planning.planner import Details, Outcome, Plan, Situation
 from adcbf_cli.core.planning.problem import Instance, Problem, Solution, SolverStatus, Weights
 from adcbf_cli.core.planning.solvers.base import make_solver
@@ -84,8 +84,8 @@ class MpcPlanner:
             return self._without_solution(scene) if ladder else self._going_on(scene)
         self._memory = _Memory(situation.stamp_ns, solution.inputs)
         inputs = self._guarded(solution.inputs, situation.inputs)
-        details = self._details(scene, start, solution, inputs)
         poses = self._problem.vehicle.roll_out(situation.pose, inputs, self._problem.step_s)
+        details = self._details(scene, start, solution, poses)
         outcome = fallback.outcome_of(details, self._planning.hard and ladder)
         if outcome is Outcome.BRAKED:
             return self._braked(situation, details)
@@ -108,7 +108,7 @@ class MpcPlanner:
         if previous is not None:
             guesses["shifted"] = previous
         if previous is None or planning.starts > 1:
-            guesses["reference"] = starts.around(problem, reference, aims, followed, columns, pose, situation.inputs)
+            guesses["reference"] = starts.around(problem, reference, aims, followed, poses, columns, situation.inputs)
         instance = Instance(
             pose=pose,
             last_inputs=situation.inputs,
@@ -157,8 +157,8 @@ class MpcPlanner:
             self._notes.count("plans out of the vehicle's limits")
         return limited
 
-    def _details(self, scene: _Scene, start: str, solution: Solution, inputs: FloatArray) -> Details:
-        rows = barrier_rows(self._problem, scene.instance, inputs)
+    def _details(self, scene: _Scene, start: str, solution: Solution, poses: FloatArray) -> Details:
+        rows = rows_along(self._problem, scene.instance, poses)
         violation = float(rows.slack_m2.max(initial=0.0))
         return Details(
             status=solution.status.value,
@@ -178,17 +178,14 @@ class MpcPlanner:
     def _may_relax(self, scene: _Scene, poses: FloatArray) -> bool:
         """Whether the planner, by what it believes of the obstacles, may drive on rather than brake."""
         problem, known = self._problem, scene.known
+        body_m, safety_m = problem.vehicle.body_radius_m, self._planning.safety_distance_m
+        driven = fallback.surface_m(poses, known.centre_m, known.radius_m, body_m)
+        driven_m, now_m = float(driven.min(initial=np.inf)), float(driven[:, 0].min(initial=np.inf))
+        if driven_m >= safety_m:  # however close braking comes
+            return True
         brake = fallback.braking(problem.vehicle, scene.situation, problem.steps, problem.step_s, problem.first_step_s)
-        body_m = problem.vehicle.body_radius_m
-        driven, braked = (
-            fallback.surface_m(way, known.centre_m, known.radius_m, body_m) for way in (poses, brake.poses)
-        )
-        return fallback.relaxed_is_better(
-            float(driven.min(initial=np.inf)),
-            float(braked.min(initial=np.inf)),
-            float(driven[:, 0].min(initial=np.inf)),
-            self._planning.safety_distance_m,
-        )
+        braked = fallback.surface_m(brake.poses, known.centre_m, known.radius_m, body_m)
+        return fallback.relaxed_is_better(driven_m, float(braked.min(initial=np.inf)), now_m, safety_m)
 
     def _without_solution(self, scene: _Scene) -> Plan:
         """Braking, and the next tick starts afresh: a plan that was not renewed is not to be trusted."""
@@ -208,9 +205,9 @@ class MpcPlanner:
             inputs = problem.vehicle.within_limits(held, situation.inputs, problem.step_s, problem.first_step_s)
         worth = merit(problem, scene.instance, inputs)
         unsolved = Solution(inputs, SolverStatus.FAILED, 0, worth)
-        details = replace(self._details(scene, start, unsolved, inputs), feasible=False)
-        stands = fallback.stands(situation.inputs) and fallback.stands(inputs[0])
         poses = problem.vehicle.roll_out(situation.pose, inputs, problem.step_s)
+        details = replace(self._details(scene, start, unsolved, poses), feasible=False)
+        stands = fallback.stands(situation.inputs) and fallback.stands(inputs[0])
         return Plan(Outcome.STOPPED if stands else Outcome.RELAXED, inputs, poses, details)
 
     def _braked(self, situation: Situation, details: Details) -> Plan:

@@ -37,12 +37,17 @@ class ReferencePath:
             )
         legs = np.diff(self.points_m, axis=0)
         self.at_m = np.concatenate([[0.0], np.cumsum(np.hypot(legs[:, 0], legs[:, 1]))])
+        self._legs = legs
+        self._x, self._y = np.ascontiguousarray(self.points_m.T)
+        self._squared = np.einsum("ij,ij->i", legs, legs)
+        self._length = np.diff(self.at_m)
+        self._end_m = float(self.at_m[-1])
         self.yaw_rad = np.unwrap(np.arctan2(legs[:, 1], legs[:, 0]))
         self.speed_mps = speed_mps
 
     @property
     def length_m(self) -> float:
-        return float(self.at_m[-1])
+        return self._end_m
 
     @property
     def goal_m(self) -> FloatArray:
@@ -54,21 +59,20 @@ class ReferencePath:
         WINDOW_M and the way of WINDOW_S), so that a path that crosses itself or comes back is not short-cut."""
         if window_m is None:
             window_m = WINDOW_M + WINDOW_S * self.speed_mps
-        start, legs = self.points_m[:-1], np.diff(self.points_m, axis=0)
-        along = np.einsum("ij,ij->i", point_m - start, legs) / np.einsum("ij,ij->i", legs, legs)
-        low, high = np.zeros(len(legs)), np.ones(len(legs))
+        first, last, low, high = 0, len(self._legs), np.zeros(1), np.ones(1)
         if around_m is not None:
-            length = np.diff(self.at_m)
-            low = np.clip((around_m - window_m - self.at_m[:-1]) / length, 0.0, 1.0)
-            high = np.clip((around_m + window_m - self.at_m[:-1]) / length, 0.0, 1.0)
-        share = np.clip(along, low, high)
+            first = min(int(np.searchsorted(self.at_m[1:], around_m - window_m)), last - 1)
+            last = max(int(np.searchsorted(self.at_m[:-1], around_m + window_m, side="right")), first + 1)
+            start_m, length = self.at_m[first:last], self._length[first:last]
+            low = _to_share((around_m - window_m - start_m) / length)
+            high = _to_share((around_m + window_m - start_m) / length)
+        start, legs = self.points_m[first:last], self._legs[first:last]
+        along = np.einsum("ij,ij->i", point_m - start, legs) / self._squared[first:last]
+        share = np.minimum(np.maximum(along, low), high)
         gap = point_m - (start + share[:, None] * legs)
-        distance = np.hypot(gap[:, 0], gap[:, 1])
-        if around_m is not None:
-            inside = (self.at_m[1:] >= around_m - window_m) & (self.at_m[:-1] <= around_m + window_m)
-            distance = np.where(inside, distance, np.inf)
-        leg = int(np.argmin(distance))
-        return float(self.at_m[leg] + share[leg] * (self.at_m[leg + 1] - self.at_m[leg]))
+        best = int(np.argmin(np.hypot(gap[:, 0], gap[:, 1])))
+        leg = first + best
+        return float(self.at_m[leg] + share[best] * (self.at_m[leg + 1] - self.at_m[leg]))
 
     def nearest_or_found(self, point_m: FloatArray, around_m: float, farther_m: float) -> float:
         """As `nearest` around `around_m`, unless the path comes nearer elsewhere by more than `farther_m`."""
@@ -79,35 +83,44 @@ class ReferencePath:
 
     def at(self, along_m: FloatArray) -> FloatArray:
         """(k, 3) x, y, yaw at arc lengths (k,), clamped to the path's ends."""
-        along = np.clip(along_m, 0.0, self.length_m)
-        leg = np.clip(np.searchsorted(self.at_m, along, side="right") - 1, 0, len(self.yaw_rad) - 1)
-        x = np.interp(along, self.at_m, self.points_m[:, 0])
-        y = np.interp(along, self.at_m, self.points_m[:, 1])
-        return np.stack([x, y, self.yaw_rad[leg]], axis=-1)
+        along = np.minimum(np.maximum(along_m, 0.0), self._end_m)
+        leg = np.minimum(np.searchsorted(self.at_m, along, side="right") - 1, len(self.yaw_rad) - 1)
+        places = np.empty((len(along), 3))
+        places[:, 0] = np.interp(along, self.at_m, self._x)
+        places[:, 1] = np.interp(along, self.at_m, self._y)
+        places[:, 2] = self.yaw_rad[leg]
+        return places
 
     def distance(self, points_m: FloatArray) -> FloatArray:
         """(k,) distance of points (k, 2) from the path."""
-        start, legs = self.points_m[:-1], np.diff(self.points_m, axis=0)
-        to = points_m[:, None] - start
-        share = np.clip(np.einsum("kij,ij->ki", to, legs) / np.einsum("ij,ij->i", legs, legs), 0.0, 1.0)
-        gap = to - share[..., None] * legs
+        to = points_m[:, None] - self.points_m[:-1]
+        share = _to_share(np.einsum("kij,ij->ki", to, self._legs) / self._squared)
+        gap = to - share[..., None] * self._legs
         return np.asarray(np.hypot(gap[..., 0], gap[..., 1]).min(axis=1))
 
     def horizon(self, pose: FloatArray, along_m: float, steps: int, step_s: float, brake_mps2: float) -> FloatArray:
         """(steps + 1, 5) x, y, yaw, speed, 0 from arc length `along_m` on, at the path's speed, slowing
         down with `brake_mps2` so as to stand at the path's end; yaw within pi of the pose's at first."""
-        length_m, here_m = self.length_m, float(along_m)
+        end_m, here_m, top_mps = self._end_m, float(along_m), self.speed_mps
         along, speed = [], []
         for _ in range(steps + 1):
+            now_mps = min(top_mps, math.sqrt(2 * brake_mps2 * max(end_m - here_m, 0.0)))
             along.append(here_m)
-            speed.append(min(self.speed_mps, math.sqrt(2 * brake_mps2 * max(length_m - here_m, 0.0))))
-            here_m = min(here_m + speed[-1] * step_s, length_m)
+            speed.append(now_mps)
+            here_m = min(here_m + now_mps * step_s, end_m)
         places = self.at(np.array(along))
         yaw = places[:, 2]
         if np.abs(np.diff(yaw)).max(initial=0.0) > np.pi:  # unwrapping is slow, and seldom needed
             yaw = np.unwrap(yaw)
         yaw = yaw + 2 * np.pi * np.round((pose[2] - yaw[0]) / (2 * np.pi))
-        return np.column_stack([places[:, :2], yaw, speed, np.zeros(steps + 1)])
+        reference = np.zeros((steps + 1, 5))
+        reference[:, :2], reference[:, 2], reference[:, 3] = places[:, :2], yaw, speed
+        return reference
+
+
+def _to_share(values: FloatArray) -> FloatArray:
+    """np.clip to [0, 1], in half the time on few values."""
+    return np.asarray(np.minimum(np.maximum(values, 0.0), 1.0))
 
 
 def _thinned(points: FloatArray) -> FloatArray:

@@ -42,17 +42,16 @@ def around(
     reference: FloatArray,
     aims_m: FloatArray,
     followed: FloatArray,
+    poses: FloatArray,
     columns: Columns,
-    pose: FloatArray,
     last: FloatArray,
 ) -> FloatArray:
-    """Inputs (N, 2) of `follow` turned aside from the first obstacle that its way conflicts with.
+    """Inputs (N, 2) of `follow` turned aside from the first obstacle that its way, `poses` (N + 1, 3), conflicts with.
 
     Aims within the obstacle's reach move out of it sideways, on the side of the path where the
     obstacle's centre is not. Straight ahead both sides are alike, and every descent from the middle
     ends in front of the obstacle: then it is the left.
     """
-    poses = problem.vehicle.roll_out(pose, followed, problem.step_s)
     gap = poses[:, :2] - columns.centre_m
     inside = np.hypot(gap[..., 0], gap[..., 1]) < columns.keep_out_m
     if not inside.any():
@@ -69,7 +68,7 @@ def around(
     edge = side * np.sqrt(np.maximum(reach**2 - forward**2, 0.0))
     blocked = (np.abs(forward) < reach) & (side * sideways < side * edge)
     moved = aims_m + np.where(blocked, edge - sideways, 0.0)[:, None] * across
-    return _pursue(problem, reference, moved, pose, last)
+    return _pursue(problem, reference, moved, poses[0], last)
 
 
 def _pursue(
