@@ -11,7 +11,7 @@ import difflib
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 from adcbf_cli.core.config import PlanningConfig, ReplayConfig
 from adcbf_cli.core.errors import UsageError
@@ -24,6 +24,17 @@ from adcbf_cli.core.replay.records import LOGGED, Drive
 Kind = Literal["replay", "plan"]
 Scores = Mapping[int, Mapping[str, float | None]]
 """By seed, then by metric."""
+
+
+class Measured(Protocol):
+    """What a mean needs to know of its metric."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def is_event(self) -> bool:
+        """Whether it is 0 or 1 a drive, so that its mean is a rate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,10 +133,19 @@ def compare(
             kinds.add("plan" if drive.result is None else "replay")
     if len(kinds) > 1:
         raise ValueError("closed and open loop in one comparison")
-    kind: Kind = kinds.pop() if kinds else "replay"
-    if against is not None and against not in scores:
-        raise UsageError(f"nothing to compare against: {_unknown(against, list(scores))}")
+    return compare_scores(scores, kinds.pop() if kinds else "replay", against)
+
+
+def compare_scores(scores: Mapping[str, Scores], kind: Kind, against: str | None = None) -> Comparison:
+    """The same from scores as `score_drive` gives them, by planner and seed."""
+    check_against(against, scores)
     return Comparison(kind, against, {name: _score(kind, name, scores, against) for name in scores})
+
+
+def check_against(against: str | None, planners: Iterable[str]) -> None:
+    """UsageError where the planner to compare against is none of these."""
+    if against is not None and against not in (names := list(planners)):
+        raise UsageError(f"nothing to compare against: {_unknown(against, names)}")
 
 
 def add_to_report(comparison: Comparison, report: Report) -> None:
@@ -142,26 +162,29 @@ def metric_names(kind: Kind, planners: Iterable[str]) -> list[str]:
     return [f"{kind}.{planner}.{metric.name}" for planner in planners for metric in applicable(kind, planner)]
 
 
-def _score(
-    kind: Kind, planner: str, scores: Mapping[str, dict[int, Mapping[str, float | None]]], against: str | None
-) -> PlannerScore:
+def _score(kind: Kind, planner: str, scores: Mapping[str, Scores], against: str | None) -> PlannerScore:
     mine = dict(sorted(scores[planner].items()))
-    metrics = applicable(kind, planner)
+    metrics = _metrics_of(kind, planner, mine)
     differences: dict[str, Difference] = {}
     if against is not None and against != planner:
-        shared = {metric.name for metric in applicable(kind, against)}
+        shared = {metric.name for metric in _metrics_of(kind, against, scores[against])}
         differences = {m.name: difference(m, mine, scores[against]) for m in metrics if m.name in shared}
     return PlannerScore(planner, mine, {m.name: aggregate(m, mine) for m in metrics}, differences)
 
 
-def aggregate(metric: DriveMetric, scores: Scores) -> Aggregate:
+def _metrics_of(kind: Kind, planner: str, scores: Scores) -> list[DriveMetric]:
+    """Those that this planner has in this kind of driving and that were kept: wall times may not have been."""
+    return [m for m in applicable(kind, planner) if all(m.name in row for row in scores.values())]
+
+
+def aggregate(metric: Measured, scores: Scores) -> Aggregate:
     """The mean over drives with its interval: Wilson's for events, the bootstrap's otherwise."""
     found = [value for _, row in sorted(scores.items()) if (value := row[metric.name]) is not None]
     interval = wilson(round(sum(found)), len(found)) if metric.is_event else bootstrap_mean(found, metric.name)
     return Aggregate(_mean(found), len(found), len(scores) - len(found), interval)
 
 
-def difference(metric: DriveMetric, mine: Scores, other: Scores) -> Difference:
+def difference(metric: Measured, mine: Scores, other: Scores) -> Difference:
     """The mean of paired differences, mine - other, over seeds."""
     pairs, dropped, neither = [], 0, 0
     for seed in sorted(mine.keys() | other.keys()):
