@@ -58,7 +58,7 @@ class Drawing:
         low, high = _bounds(kind, given, place)
         if kind == "integer":
             return int(rng.integers(int(low), int(high) + 1))
-        return float(low + (high - low) * rng.random())
+        return _legible(low + (high - low) * rng.random(), low, high)
 
 
 def is_random(node: Any) -> bool:
@@ -86,6 +86,14 @@ def _bounds(kind: str, given: Any, place: Place) -> tuple[float, float]:
         what = "whole numbers" if kind == "integer" else "numbers"
         raise UsageError(f"{dotted(place)}: {kind} takes [lowest, highest], two {what}")
     return given[0], given[1]
+
+
+def _legible(value: float, low: float, high: float) -> float:
+    """A value between two others without the digits beyond a ten-millionth of their distance."""
+    if low == high:
+        return float(low)
+    rounded = round(value, 7 - math.floor(math.log10(high - low)))
+    return float(min(max(rounded, low), high))
 
 
 def _number_of(place: Place, copy: int, attempt: int) -> int:

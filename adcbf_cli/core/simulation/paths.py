@@ -95,7 +95,8 @@ def crossing_line(path: CrossingPath, way_m: FloatArray) -> LinePath | StandPath
 
 
 def _pair(point: FloatArray) -> tuple[float, float]:
-    return float(point[0]), float(point[1])
+    """A point to the micrometre."""
+    return round(float(point[0]), 6), round(float(point[1]), 6)
 
 
 def ego_path(scenario: Scenario) -> AnyPath:

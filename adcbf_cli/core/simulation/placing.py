@@ -39,7 +39,7 @@ Model = TypeVar("Model", bound=BaseModel)
 Static = Tree | Rock | Wall | Box
 Moving = Person | Vehicle | Cylinder
 
-MAX_ATTEMPTS = 100
+MAX_ATTEMPTS = 1000
 MAX_COPIES = 1000
 TIME_STEP_S = 0.1
 MAX_TIMES = 2000
@@ -192,7 +192,7 @@ def _stood(node: Any, place: Place, way_m: FloatArray | None) -> Any:
         raise UsageError(f"{dotted(place)}.beside_m: must be [along, aside], two numbers") from error
     point, _ = beside(way, along, aside)
     rest = {key: value for key, value in node.items() if key != "beside_m"}
-    return {**rest, "at_m": point.tolist()}
+    return {**rest, "at_m": [round(value, 6) for value in point.tolist()]}
 
 
 def _walked(node: Any, place: Place, way_m: FloatArray | None) -> Any:

@@ -168,7 +168,7 @@ RELATIVE = MINIMAL + "route: {points_m: [[0, 0], [10, 0]]}\n"
         (RELATIVE + "seed: {integer: [0, 9]}", "seed: should be a valid integer"),
         (
             RELATIVE + "objects: [{kind: tree, beside_m: [{uniform: [0, 0.5]}, 0]}]",
-            "objects.0: no free place in 100 draws",
+            "objects.0: no free place in 1000 draws",
         ),
         (RELATIVE + "objects: &a [*a]", "objects.0"),
     ],
