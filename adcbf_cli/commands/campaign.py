@@ -32,7 +32,7 @@ _Finished = Generator[tuple[str, Row], None, None]
 """Run ids and their rows, as the runs finish."""
 
 ERROR = "error"
-"""The only column of a run that failed: why, in one line."""
+"""The row of a run that failed has this column, why in one line, and beside it `run`, its id."""
 
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 """Set to 1: the processes are the parallelism. The libraries read them when they are loaded."""
@@ -47,8 +47,8 @@ def run_campaign(
     """Each task's row, in the order of `tasks`: those that `rows` has, and the others as they are run now.
 
     work: a picklable function (as the tasks are) that gives a row which JSON can hold: no NaN, no infinity.
-        A run that raises, or whose process dies, has the row {"error": why}; it is counted on stderr, the
-        others go on, and the next start tries it again.
+        A run that raises, or whose process dies, has the row {"run": its id, "error": why}; it is counted on
+        stderr, the others go on, and the next start tries it again.
     jobs: processes at once; 1 runs in this very process, where nothing guards against its being killed.
     what: names the runs on stderr.
     """
@@ -58,7 +58,7 @@ def run_campaign(
     finished = _run_here(todo, work) if jobs == 1 else _run_in_processes(todo, work, jobs)
     with _single_threaded(), closing(finished), RunProgress(len(todo), what) as progress:
         for run_id, row in finished:
-            rows.add(run_id, row)
+            rows.add(run_id, {"run": run_id} | row if ERROR in row else row)
             progress.advance(failed=ERROR in row)
     results = [rows.done[run_id] for run_id in tasks]
     _say_failures(results, what)
