@@ -11,7 +11,7 @@ import pytest
 
 from adcbf_cli.core.config import PlanningConfig, ReplayConfig
 from adcbf_cli.core.errors import UsageError
-from adcbf_cli.core.evaluation.comparison import Comparison, add_to_report, compare, metric_names
+from adcbf_cli.core.evaluation.comparison import Comparison, add_to_report, compare, compare_scores, metric_names
 from adcbf_cli.core.evaluation.comparison_text import headline, markdown
 from adcbf_cli.core.evaluation.intervals import bootstrap_mean, wilson
 from adcbf_cli.core.evaluation.report import Report
@@ -143,6 +143,20 @@ def test_the_order_of_drives_does_not_matter() -> None:
         found = both(drives).to_dict()
         assert found == expected
         assert list(found["planners"]["calm"]["seeds"]) == list("012345")
+
+
+def test_scores_kept_apart_from_their_drives_compare_alike() -> None:
+    expected = both()
+    kept = {name: json.loads(json.dumps(score.scores)) for name, score in expected.planners.items()}
+    scores = {name: {int(seed): row for seed, row in rows.items()} for name, rows in kept.items()}
+    assert compare_scores(scores, "replay", "calm") == expected
+    for row in scores["swift"].values():
+        del row["solve_p50_ms"]
+    without = compare_scores(scores, "replay", "calm").planners["swift"]
+    assert set(expected.planners["swift"].differences) - set(without.differences) == {"solve_p50_ms"}
+    assert set(expected.planners["swift"].aggregates) - set(without.aggregates) == {"solve_p50_ms"}
+    with pytest.raises(UsageError, match="did you mean swift"):
+        compare_scores(scores, "replay", "swit")
 
 
 def test_other_planners_do_not_matter() -> None:
