@@ -155,7 +155,7 @@ class _Worker:
     def give(self, run_id: str, work: Callable[[Task], Row], task: Task) -> None:
         message = pickle.dumps((work, task))
         self.run_id = run_id
-        with suppress(BrokenPipeError):  # it has died: `take` finds out
+        with suppress(ConnectionError):  # it has died: `take` finds out
             self.pipe.send_bytes(message)
 
     def take(self) -> tuple[str, Row]:
