@@ -69,13 +69,15 @@ def can_bind(problem: Problem, pose: FloatArray, last: FloatArray, columns: Colu
     barrier = problem.barrier
     if barrier.form == "printed":
         return np.ones(len(columns), dtype=bool)
-    top_mps = float(np.max(np.abs([problem.vehicle.input_min[0], problem.vehicle.input_max[0], last[0]])))
+    limits = problem.vehicle
+    top_mps = max(abs(float(speed)) for speed in (limits.input_min[0], limits.input_max[0], last[0]))
     gap = columns.centre_m - pose[:2]
     least_m = np.hypot(gap[..., 0], gap[..., 1]) - top_mps * problem.step_s * np.arange(gap.shape[1])
     least_m = np.maximum(least_m[:, :-1], 0.0)
     moved = np.diff(columns.centre_m, axis=1)
     shrink_m = np.hypot(moved[..., 0], moved[..., 1]) + top_mps * problem.step_s
-    gamma = np.clip(gamma_at(barrier.gamma, least_m, columns.radius_m[:, None]), 0.0, 1.0)
+    gamma = gamma_at(barrier.gamma, least_m, columns.radius_m[:, None])
+    gamma = np.minimum(np.maximum(gamma, 0.0), 1.0)  # np.clip, in half the time on little
     keep_m = columns.keep_out_m
     grown = keep_m[:, 1:] ** 2 - keep_m[:, :-1] ** 2
     residual = gamma * (least_m**2 - keep_m[:, :-1] ** 2) - 2 * least_m * shrink_m + shrink_m**2 - grown

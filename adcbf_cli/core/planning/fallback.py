@@ -38,7 +38,7 @@ def required_m(surface_now_m: FloatArray, safety_m: float) -> FloatArray:
 def braking(vehicle: Vehicle, situation: Situation, steps: int, step_s: float, first_step_s: float) -> Plan:
     """Braking from the inputs that the vehicle has now; STOPPED where it stands already."""
     wanted = vehicle.braking(situation.inputs, steps, step_s, first_step_s)
-    inputs = vehicle.within_limits(wanted, situation.inputs, step_s, first_step_s)
+    inputs = within_limits(vehicle, wanted, situation.inputs, step_s, first_step_s)
     poses = vehicle.roll_out(situation.pose, inputs, step_s)
     return Plan(Outcome.STOPPED if stands(situation.inputs) else Outcome.BRAKED, inputs, poses, None)
 
@@ -46,6 +46,19 @@ def braking(vehicle: Vehicle, situation: Situation, steps: int, step_s: float, f
 def stands(inputs: FloatArray) -> bool:
     """Whether inputs (2,) are those of a vehicle that stands."""
     return abs(float(inputs[0])) < STANDING_MPS
+
+
+def within_limits(
+    vehicle: Vehicle, wanted: FloatArray, last: FloatArray, step_s: float, first_step_s: float
+) -> FloatArray:
+    """`Vehicle.within_limits`, at once where `wanted` (N, 2) is within them already, as it mostly is."""
+    reach = np.empty_like(wanted)
+    reach[0], reach[1:] = vehicle.rate_max * first_step_s, vehicle.rate_max * step_s
+    before = np.empty_like(wanted)
+    before[0], before[1:] = last, wanted[:-1]
+    fits = wanted >= np.maximum(before - reach, vehicle.input_min)
+    fits &= wanted <= np.minimum(before + reach, vehicle.input_max)
+    return wanted.copy() if fits.all() else vehicle.within_limits(wanted, last, step_s, first_step_s)
 
 
 def outcome_of(details: Details, hard: bool, tolerance: float = 1e-6) -> Outcome:

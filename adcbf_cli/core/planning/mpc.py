@@ -128,7 +128,7 @@ class MpcPlanner:
         later = starts.shifted(self._memory.inputs, elapsed_s, problem.step_s)
         if later is None:
             return None
-        return problem.vehicle.within_limits(later, situation.inputs, problem.step_s, problem.first_step_s)
+        return self._limited(later, situation.inputs)
 
     def _frozen_gamma(self, columns: Columns, pose: FloatArray, guess: FloatArray) -> FloatArray | None:
         """(n, N) gamma along the first start, where it is not a function inside the problem."""
@@ -151,11 +151,14 @@ class MpcPlanner:
 
     def _guarded(self, inputs: FloatArray, last: FloatArray) -> FloatArray:
         """The solver's inputs within the vehicle's limits: they are already, and it is counted if not."""
-        problem = self._problem
-        limited = problem.vehicle.within_limits(inputs, last, problem.step_s, problem.first_step_s)
+        limited = self._limited(inputs, last)
         if np.abs(limited - inputs).max() > 1e-9:
             self._notes.count("plans out of the vehicle's limits")
         return limited
+
+    def _limited(self, inputs: FloatArray, last: FloatArray) -> FloatArray:
+        problem = self._problem
+        return fallback.within_limits(problem.vehicle, inputs, last, problem.step_s, problem.first_step_s)
 
     def _details(self, scene: _Scene, start: str, solution: Solution, poses: FloatArray) -> Details:
         rows = rows_along(self._problem, scene.instance, poses)
@@ -200,9 +203,8 @@ class MpcPlanner:
         problem, situation = self._problem, scene.situation
         start, inputs = "shifted", self._shifted(situation)
         if inputs is None:
-            held = np.tile(situation.inputs, (problem.steps, 1))
             start = "held"
-            inputs = problem.vehicle.within_limits(held, situation.inputs, problem.step_s, problem.first_step_s)
+            inputs = self._limited(np.tile(situation.inputs, (problem.steps, 1)), situation.inputs)
         worth = merit(problem, scene.instance, inputs)
         unsolved = Solution(inputs, SolverStatus.FAILED, 0, worth)
         poses = problem.vehicle.roll_out(situation.pose, inputs, problem.step_s)

@@ -6,7 +6,7 @@ import numpy as np
 
 from adcbf_cli.core.planning.problem import Instance, Problem, Solution, SolverStatus
 from adcbf_cli.core.planning.solvers import sqp_loop
-from adcbf_cli.core.planning.solvers.packing import empty_qp, failed, is_finite, pack_model, pack_scene, starting
+from adcbf_cli.core.planning.solvers.packing import Scene, empty_qp, failed, is_finite, pack_model, pack_scene, starting
 from adcbf_cli.core.types import FloatArray
 
 
@@ -20,15 +20,16 @@ class SqpSolver:
         self._problem = problem
         self._model = pack_model(problem)
         self._solve = sqp_loop.entry()
+        self._packed: tuple[Instance, Scene, bool] | None = None
         self._min_iterations = min_iterations
         self._max_iterations = max_iterations
         self.solve(_anything(problem), np.zeros((problem.steps, 2)))  # compiled here, not within a deadline
 
     def solve(self, instance: Instance, guess: FloatArray) -> Solution:
         """The best inputs found from `guess` (N, 2); FAILED, and the guess, where numbers are not finite."""
-        scene = pack_scene(self._problem, instance)
+        scene, finite = self._scene(instance)
         first = starting(guess)
-        if not is_finite(scene, first):
+        if not finite or not np.isfinite(first).all():
             return failed(guess)
         inputs, merit, iterations, code = self._solve(
             self._model, scene, empty_qp(self._model, scene), first, self._min_iterations, self._max_iterations
@@ -37,6 +38,14 @@ class SqpSolver:
             return failed(guess)
         status = SolverStatus.CONVERGED if code == sqp_loop.CONVERGED else SolverStatus.ITERATION_LIMIT
         return Solution(inputs, status, iterations, merit)
+
+    def _scene(self, instance: Instance) -> tuple[Scene, bool]:
+        """The instance as arrays, and whether all of it is finite; kept, since one instance is solved from
+        several guesses."""
+        if self._packed is None or self._packed[0] is not instance:
+            scene = pack_scene(self._problem, instance)
+            self._packed = (instance, scene, is_finite(scene, scene.last))
+        return self._packed[1:]
 
 
 def _anything(problem: Problem) -> Instance:
