@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pyarrow as pa
 
+from adcbf_cli.core.evaluation.driving import METRICS
+
 _FRAME_KEYS = [("timestamp_ns", pa.int64()), ("frame_index", pa.int32())]
 _DRIVE_KEYS = [("planner", pa.string()), ("seed", pa.int32())]
 _TICK_KEYS = [*_DRIVE_KEYS, ("timestamp_ns", pa.int64()), ("tick", pa.int32())]
@@ -111,5 +113,26 @@ SCHEMAS: dict[str, pa.Schema] = {
         ]
     ),
     "solve_times": pa.schema([*_TICK_KEYS, *_floats("solve_ms")]),
+    "runs": pa.schema(
+        [
+            *_DRIVE_KEYS,
+            ("knowledge", pa.string()),
+            ("result", pa.string()),
+            *_floats("duration_s"),
+            ("error", pa.string()),
+            ("movers", pa.int32()),
+            *_floats("fastest_mps"),
+            ("standing", pa.int32()),
+            *_floats("bumps_m", "slope_deg"),
+            ("hit_object_id", pa.int64()),
+            ("hit_kind", pa.string()),
+            ("hit_moving", pa.bool_()),
+            *_floats("hit_at_s", "hit_known_since_s"),
+            ("hit_avoidable", pa.bool_()),
+            ("escape_exists", pa.bool_()),
+            ("log", pa.string()),
+            *_floats(*(metric.name for metric in METRICS)),
+        ]
+    ),
     "gamma": pa.schema([("planner", pa.string()), *_floats("distance_m", "radius_m", "gamma")]),
 }
