@@ -71,7 +71,9 @@ def gamma_at(gamma: FixedGamma | AdaptiveGamma, distance_m: FloatArray, radius_m
     far = _one_plus_edge(np.asarray(distance_m) - gamma.distance_m, gamma.distance_sigma_m, gamma.form)
     small = _one_plus_edge(gamma.radius_m - np.asarray(radius_m), gamma.radius_sigma_m, gamma.form)
     value = np.asarray(gamma.amplitude * far * small)
-    return np.clip(value, gamma.floor, gamma.ceiling) if (gamma.floor, gamma.ceiling) != (None, None) else value
+    if gamma.floor is not None:
+        value = np.maximum(value, gamma.floor)
+    return value if gamma.ceiling is None else np.asarray(np.minimum(value, gamma.ceiling))
 
 
 def _one_plus_edge(offset_m: FloatArray, sigma_m: float, form: Literal["cdf", "printed"]) -> FloatArray:

@@ -71,8 +71,13 @@ def can_bind(problem: Problem, pose: FloatArray, last: FloatArray, columns: Colu
         return np.ones(len(columns), dtype=bool)
     limits = problem.vehicle
     top_mps = max(abs(float(speed)) for speed in (limits.input_min[0], limits.input_max[0], last[0]))
+    reach_m = top_mps * problem.step_s * np.arange(columns.centre_m.shape[1])
+    late = columns.centre_m[:, -2] - pose[:2]
+    reached = np.hypot(late[:, 0], late[:, 1]) - reach_m[-2] <= columns.keep_out_m[:, -2]
+    if reached.all():  # then each can bind at the last row, and the others need no look
+        return np.asarray(reached)
     gap = columns.centre_m - pose[:2]
-    least_m = np.hypot(gap[..., 0], gap[..., 1]) - top_mps * problem.step_s * np.arange(gap.shape[1])
+    least_m = np.hypot(gap[..., 0], gap[..., 1]) - reach_m
     least_m = np.maximum(least_m[:, :-1], 0.0)
     moved = np.diff(columns.centre_m, axis=1)
     shrink_m = np.hypot(moved[..., 0], moved[..., 1]) + top_mps * problem.step_s

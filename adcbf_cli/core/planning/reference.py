@@ -110,7 +110,7 @@ class ReferencePath:
             here_m = min(here_m + now_mps * step_s, end_m)
         places = self.at(np.array(along))
         yaw = places[:, 2]
-        if np.abs(np.diff(yaw)).max(initial=0.0) > np.pi:  # unwrapping is slow, and seldom needed
+        if np.abs(yaw[1:] - yaw[:-1]).max(initial=0.0) > np.pi:  # unwrapping is slow, and seldom needed
             yaw = np.unwrap(yaw)
         yaw = yaw + 2 * np.pi * np.round((pose[2] - yaw[0]) / (2 * np.pi))
         reference = np.zeros((steps + 1, 5))

@@ -23,7 +23,10 @@ def shifted(inputs: FloatArray, elapsed_s: float, step_s: float) -> FloatArray |
     at_s = step_s * np.arange(len(inputs))
     if not 0.0 <= elapsed_s < step_s * len(inputs):
         return None
-    return np.column_stack([np.interp(at_s + elapsed_s, at_s, column) for column in inputs.T])
+    later, goes_on_s = np.empty_like(inputs), at_s + elapsed_s
+    for i in range(inputs.shape[1]):
+        later[:, i] = np.interp(goes_on_s, at_s, inputs[:, i])
+    return later
 
 
 def follow(
@@ -31,8 +34,9 @@ def follow(
 ) -> tuple[FloatArray, FloatArray]:
     """Inputs (N, 2) that pursue the path at the reference's speeds, as if there were no obstacles, and
     the points (N, 2) that they aim at."""
-    legs = np.diff(reference[:, :2], axis=0)
-    at_m = along_m + np.concatenate([[0.0], np.cumsum(np.hypot(legs[:, 0], legs[:, 1]))[:-1]])
+    legs = reference[1:-1, :2] - reference[:-2, :2]
+    at_m = np.full(len(reference) - 1, along_m, dtype=float)
+    at_m[1:] += np.cumsum(np.hypot(legs[:, 0], legs[:, 1]))
     aims = pursuit.beyond(path, at_m + pursuit.look_ahead_m(path))[:, :2]
     return _pursue(problem, reference, aims, pose, last), aims
 
