@@ -34,7 +34,15 @@ def fig4_document() -> dict[str, Any]:
     return fig4.summarise([fig4.run(case) for case in fig4.CASES])
 
 
-DOCUMENTS = {"fig3": fig3_document, "fig4": fig4_document}
+def fig2_document() -> dict[str, Any]:
+    panel = {"outcomes": ["found", "merged", "merged", None], "label": [0, 0, 1, 1, -1], "merged": [1]}
+    panel["circles_m"] = [[1.0, 1.0, 0.5], [4.0, 1.0, 1.0]]
+    cells = [[1.0, 1.0], [1.2, 1.0], [4.0, 1.0], [4.5, 1.0], [7.0, 7.0]]
+    panels = [{"name": name} | panel for name in ("dbscan", "hdbscan")]
+    return {"drawn": {"seed": 1, "range_m": 8.0, "cells_m": cells, "panels": panels}}
+
+
+DOCUMENTS = {"fig2": fig2_document, "fig3": fig3_document, "fig4": fig4_document}
 
 
 @pytest.fixture(scope="module", params=DOCUMENTS)
@@ -81,3 +89,10 @@ def test_fig3_shows_the_errors_below():
     tracked, predicted = figure.axes[2].get_lines()
     np.testing.assert_allclose(tracked.get_ydata(), 0.01, atol=1e-4)
     np.testing.assert_allclose(predicted.get_ydata(), -0.1, atol=1e-4)
+
+
+def test_fig2_marks_the_circle_that_merges():
+    with style.styled():
+        figure = importlib.import_module("adcbf_cli.io.figures.fig2").draw(fig2_document())
+    assert figure.axes[0].get_title(loc="left") == "(a) dbscan: 1 found, 2 merged"
+    assert [patch.get_linestyle() for patch in figure.axes[0].patches] == ["solid", "--"]
