@@ -12,16 +12,24 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from adcbf_cli.core.errors import UsageError
 from adcbf_cli.core.open3d_import import load_open3d
-from adcbf_cli.core.simulation.objects import MovingThing, StaticThing, TruthBox, build_mover, build_static
+from adcbf_cli.core.simulation.objects import (
+    MovingThing,
+    StaticThing,
+    TruthBox,
+    build_mover,
+    build_static,
+    world_from_parts,
+)
 from adcbf_cli.core.simulation.paths import ego_path, motion_along
 from adcbf_cli.core.simulation.randomness import Purpose, generator
 from adcbf_cli.core.simulation.scenario import Scenario
 from adcbf_cli.core.simulation.shapes import Mesh, merge
 from adcbf_cli.core.simulation.terrain import HeightField, build_terrain
-from adcbf_cli.core.types import NO_ID, BoolArray, FloatArray, IntArray
+from adcbf_cli.core.types import NO_ID, FloatArray, IntArray
 
 NS_PER_S = 1_000_000_000
 
@@ -52,14 +60,16 @@ class World:
             for index, spec in enumerate(scenario.objects)
         ]
         meshes = [self.ground.mesh(), *(thing.mesh for thing in self.statics)]
-        self._static_body = _Body(merge(*meshes))
+        static = merge(*meshes)
+        moving = {id(part.mesh): part.mesh for mover in self.movers for part in mover.parts}
+        first = np.cumsum([len(mesh.triangles) for mesh in (static, *moving.values())]).tolist()
+        self._planes = np.concatenate([_planes(mesh) for mesh in (static, *moving.values())])
+        self._static_body = _Body(static, 0)
+        bodies = {key: _Body(mesh, start) for (key, mesh), start in zip(moving.items(), first[:-1], strict=True)}
+        self._bodies = [bodies[id(part.mesh)] for mover in self.movers for part in mover.parts]
+        self._body_owner = np.repeat(np.arange(len(self.movers)), [len(mover.parts) for mover in self.movers])
         owners = [NO_ID, *(len(self.movers) + index for index in range(len(self.statics)))]
         self._static_owner = np.repeat(owners, [len(mesh.triangles) for mesh in meshes]).astype(np.int64)
-        bodies: dict[int, _Body] = {}
-        for mover in self.movers:
-            for part in mover.parts:
-                bodies.setdefault(id(part.mesh), _Body(part.mesh))
-        self._part_bodies = [[bodies[id(part.mesh)] for part in mover.parts] for mover in self.movers]
 
     def seconds(self, time_ns: IntArray) -> FloatArray:
         """Log time -> seconds from the scenario's start."""
@@ -71,27 +81,67 @@ class World:
         """Fire one scan: columns at times (c,) from poses (c, 4, 4), along unit directions (c, k, 3) in
         the sensor's frame. What is farther than max_range_m counts as nothing."""
         shape = directions.shape[:2]
-        turned = directions @ np.swapaxes(world_from_sensor[:, :3, :3], 1, 2)
-        aim = turned.reshape(-1, 3)
-        origin = np.repeat(world_from_sensor[:, :3, 3], shape[1], axis=0)
-        column = np.repeat(np.arange(shape[0]), shape[1])
-        range_m, triangle = self._static_body.cast(origin, aim)
-        owner = np.where(triangle >= 0, self._static_owner[triangle], NO_ID)
-        time_s = self.seconds(time_ns)
-        for number, (mover, bodies) in enumerate(zip(self.movers, self._part_bodies, strict=True)):
-            for world_from_part, body in zip(mover.world_from_part(time_s), bodies, strict=True):
-                near = np.flatnonzero(
-                    body.may_be_hit(world_from_sensor[:, :3, 3], turned, world_from_part, max_range_m)
-                )
-                if len(near) == 0:
-                    continue
-                part_range = body.cast_moving(origin[near], aim[near], world_from_part[column[near]])
-                closer = part_range < range_m[near]
-                range_m[near[closer]] = part_range[closer]
-                owner[near[closer]] = number
+        if len(time_ns) and (time_ns == time_ns[0]).all():  # one column, then, of all the rays
+            time_ns, world_from_sensor = time_ns[:1], world_from_sensor[:1]
+            directions = directions.reshape(1, -1, 3)
+        aim = directions @ np.swapaxes(world_from_sensor[:, :3, :3], 1, 2)
+        rays = _Rays(world_from_sensor[:, :3, 3], aim)
+        range_m, owner = self._cast_static(rays, max_range_m)
+        if self.movers:
+            self._cast_movers(rays, self.seconds(time_ns), max_range_m, range_m, owner)
         far = range_m > max_range_m
         range_m[far], owner[far] = np.inf, NO_ID
         return Hits(range_m.reshape(shape), owner.reshape(shape))
+
+    def _cast_static(self, rays: _Rays, max_range_m: float) -> tuple[FloatArray, IntArray]:
+        """(n,) ranges to the ground and to what stands on it, inf for none, and (n,) ids."""
+        found_m, triangle = self._static_body.cast(rays.packed())
+        near = np.flatnonzero(found_m <= max_range_m + GRAZING_M)
+        range_m, owner = np.full(len(found_m), np.inf), np.full(len(found_m), NO_ID, dtype=np.int64)
+        origin, aim = rays.take(near)
+        range_m[near] = _distance_to_plane(origin, aim, self._planes[triangle[near]], found_m[near])
+        owner[near] = self._static_owner[triangle[near]]
+        return range_m, owner
+
+    def _cast_movers(
+        self, rays: _Rays, time_s: FloatArray, max_range_m: float, range_m: FloatArray, owner: IntArray
+    ) -> None:
+        """Enters the movers in (n,) ranges and ids where they stand before what was hit there. Each ray goes
+        to each part that it may hit as a ray of its own, in that part's frame."""
+        pose = np.stack(world_from_parts(self.movers, time_s), axis=1)
+        part, ray = self._near_parts(rays, pose, max_range_m)
+        column = ray // rays.aim.shape[1]
+        rotation, shift = pose[..., :3, :3], pose[..., :3, 3]
+        local_origin = np.einsum("mpij,mpi->mpj", rotation, rays.origin_m[:, None] - shift)[column, part]
+        local_aim = np.einsum("nij,ni->nj", rotation[column, part], rays.aim.reshape(-1, 3)[ray])
+        packed = np.concatenate([local_origin, local_aim], axis=1, dtype=np.float32, casting="same_kind")
+        found_m, triangle = np.full(len(ray), np.inf), np.zeros(len(ray), dtype=np.int64)
+        bounds = np.searchsorted(part, np.arange(len(self._bodies) + 1)).tolist()
+        for body, start, stop in zip(self._bodies, bounds[:-1], bounds[1:], strict=True):
+            if start < stop:
+                found_m[start:stop], triangle[start:stop] = body.cast(packed[start:stop])
+        hit = np.flatnonzero(np.isfinite(found_m))
+        planes = self._planes[triangle[hit]]
+        part_range_m = _distance_to_plane(local_origin[hit], local_aim[hit], planes, found_m[hit])
+        ray, part = ray[hit], part[hit]
+        closer = np.flatnonzero(part_range_m < range_m[ray])
+        closer = closer[np.lexsort((-part[closer], -part_range_m[closer]))]  # the nearest, entered last, stays
+        range_m[ray[closer]] = part_range_m[closer]
+        owner[ray[closer]] = self._body_owner[part[closer]]
+
+    def _near_parts(self, rays: _Rays, pose: FloatArray, max_range_m: float) -> tuple[IntArray, IntArray]:
+        """The pairs of a part and a ray that passes through its bounding sphere, by part and ray: two arrays.
+        pose: (m, p, 4, 4) of each part as each column fires."""
+        middle = np.array([body.middle_m for body in self._bodies])[:, :, None]
+        reach = np.array([body.radius_m for body in self._bodies]) + 1e-3
+        towards = (pose[..., :3, :3] @ middle)[..., 0] + pose[..., :3, 3] - rays.origin_m[:, None]
+        squared = (towards**2).sum(axis=-1)
+        tangent = np.where(squared > reach**2, np.sqrt(np.maximum(squared - reach**2, 0.0)), -np.inf)
+        tangent[np.sqrt(squared) - reach > max_range_m] = np.inf
+        along = towards @ np.swapaxes(rays.aim, 1, 2)
+        passes = np.swapaxes(along >= tangent[:, :, None], 0, 1).reshape(-1)
+        part, ray = np.divmod(np.flatnonzero(passes), rays.aim.shape[0] * rays.aim.shape[1])
+        return part, ray
 
     def truth(self, time_ns: IntArray) -> list[TruthBox]:
         """Every object's box at (n,) times; the list's index is the object's id."""
@@ -107,56 +157,52 @@ class World:
         return [thing.truth(time_s) for thing in self.statics]
 
 
-class _Body:
-    """A rigid mesh, ready for ray casting in its own frame."""
+@dataclass(frozen=True, slots=True)
+class _Rays:
+    """Rays of m columns in the world, numbered column by column: origin_m (m, 3), aim (m, k, 3) unit vectors."""
 
-    def __init__(self, mesh: Mesh) -> None:
+    origin_m: FloatArray
+    aim: FloatArray
+
+    def take(self, rays: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Origins, (n, 3) or one for all of them (1, 3), and directions (n, 3) of these rays."""
+        one = len(self.origin_m) == 1
+        return self.origin_m if one else self.origin_m[rays // self.aim.shape[1]], self.aim.reshape(-1, 3)[rays]
+
+    def packed(self) -> NDArray[np.float32]:
+        """(m k, 6) all of them as open3d takes rays."""
+        packed = np.empty((*self.aim.shape[:2], 6), dtype=np.float32)
+        packed[:, :, :3], packed[:, :, 3:] = self.origin_m[:, None], self.aim
+        return packed.reshape(-1, 6)
+
+
+class _Body:
+    """A rigid mesh, ready for ray casting in its own frame. Its triangles are numbered from `first` on.
+    middle_m (3,), radius_m: its bounding sphere."""
+
+    def __init__(self, mesh: Mesh, first: int) -> None:
         open3d = load_open3d()
         self._tensor = open3d.core.Tensor
         self._scene: Any = open3d.t.geometry.RaycastingScene(nthreads=1)
         self._scene.add_triangles(
             self._tensor(np.ascontiguousarray(mesh.vertices_m, dtype=np.float32)), self._tensor(mesh.triangles)
         )
-        corners = mesh.vertices_m[mesh.triangles]
-        self._corner = corners[:, 0]
-        self._normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        self._first = first
         low, high = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
-        self._middle = (low + high) / 2
-        self._radius_m = float(np.sqrt(((mesh.vertices_m - self._middle) ** 2).sum(axis=1).max()))
+        self.middle_m: FloatArray = (low + high) / 2
+        self.radius_m = float(np.sqrt(((mesh.vertices_m - self.middle_m) ** 2).sum(axis=1).max()))
 
-    def cast(self, origin: FloatArray, aim: FloatArray) -> tuple[FloatArray, IntArray]:
-        """(n, 3) origins and unit directions in the body's frame -> (n,) ranges, inf for a miss, and
-        (n,) triangle numbers, -1 for a miss."""
-        rays = np.concatenate([origin, aim], axis=1).astype(np.float32)
+    def cast(self, rays: NDArray[np.float32]) -> tuple[FloatArray, IntArray]:
+        """(n, 6) origins and unit directions in the body's frame -> (n,) rough ranges, inf for a miss, and
+        (n,) triangle numbers, which mean nothing there."""
         answer = self._scene.cast_rays(self._tensor(rays), nthreads=1)
-        found = answer["t_hit"].numpy().astype(np.float64)
-        hit = np.isfinite(found)
-        triangle = np.where(hit, answer["primitive_ids"].numpy().astype(np.int64), -1)
-        range_m = np.full(len(origin), np.inf)
-        corner, normal = self._corner[triangle[hit]], self._normal[triangle[hit]]
-        range_m[hit] = _distance_to_plane(origin[hit], aim[hit], corner, normal, found[hit])
-        return range_m, triangle
+        return answer["t_hit"].numpy().astype(np.float64), answer["primitive_ids"].numpy() + np.int64(self._first)
 
-    def cast_moving(self, origin: FloatArray, aim: FloatArray, world_from_body: FloatArray) -> FloatArray:
-        """World rays (n, 3) against the body at each ray's own pose (n, 4, 4) -> (n,) ranges."""
-        rotation = world_from_body[:, :3, :3]
-        local_origin = np.einsum("nij,ni->nj", rotation, origin - world_from_body[:, :3, 3])
-        local_aim = np.einsum("nij,ni->nj", rotation, aim)
-        return self.cast(local_origin, local_aim)[0]
 
-    def may_be_hit(
-        self, origin: FloatArray, aim: FloatArray, world_from_body: FloatArray, max_range_m: float
-    ) -> BoolArray:
-        """Which rays, from (c, 3) along (c, k, 3) in the world, pass through the body's bounding sphere
-        at its (c, 4, 4) poses: (c k,)."""
-        middle = world_from_body[:, :3, :3] @ self._middle + world_from_body[:, :3, 3]
-        towards = middle - origin
-        along = (aim @ towards[:, :, None])[:, :, 0]
-        squared = _dot(towards, towards)[:, None]
-        reach = self._radius_m + 1e-3
-        inside = squared <= reach**2
-        passes = (along > 0) & (squared - along**2 <= reach**2) & (along - reach <= max_range_m)
-        return np.asarray(inside | passes).reshape(-1)
+def _planes(mesh: Mesh) -> FloatArray:
+    """(t, 6) of each triangle a corner, and a normal as long as twice its area."""
+    a, b, c = (mesh.vertices_m[mesh.triangles[:, corner]] for corner in range(3))
+    return np.concatenate([a, np.cross(b - a, c - a)], axis=1)
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -164,11 +210,11 @@ def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
     return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
 
 
-def _distance_to_plane(
-    origin: FloatArray, aim: FloatArray, corner: FloatArray, normal: FloatArray, found_m: FloatArray
-) -> FloatArray:
-    """(n,) distances along rays to the planes of the triangles that they are known to hit. A ray that
-    grazes its triangle, so that the plane gives no sound distance, keeps the one that was found."""
+def _distance_to_plane(origin: FloatArray, aim: FloatArray, planes: FloatArray, found_m: FloatArray) -> FloatArray:
+    """(n,) distances along rays, from (n, 3) or (1, 3), to the planes (n, 6) of the triangles that they are
+    known to hit. A ray that grazes its triangle, so that the plane gives no sound distance, keeps the one
+    that was found."""
+    corner, normal = planes[:, :3], planes[:, 3:]
     approach = _dot(normal, aim)
     gap = _dot(normal, corner - origin)
     exact = gap / np.where(approach == 0, np.inf, approach)
