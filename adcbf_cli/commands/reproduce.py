@@ -105,7 +105,7 @@ def _make(part: Part, folder: Path, seeds: Sequence[int], jobs: int) -> _Made:
         return _Made(part, document, files.text(), _names(part))
     good, failed = _run(part, tasks, folder / RUNS, runs_key, jobs)
     document = part.summarise(good)
-    text = _text(part, document, failed)
+    text = _text(part, document, failed, len(tasks))
     _write(files, part, document, text, None if failed else key)
     say(f"{part.name}: written to {folder}")
     return _Made(part, document, text, _names(part), len(failed))
@@ -131,14 +131,16 @@ def _run(
     return good, failed
 
 
-def _text(part: Part, document: Document, failed: Mapping[str, str]) -> str:
+def _text(part: Part, document: Document, failed: Mapping[str, str], count: int) -> str:
     blocks = [f"# {part.title}"]
     if part.figure:
         blocks.append(f"![{part.title}]({part.name}.png)")
     blocks.append(part.markdown(document))
     if failed:
         first, why = next(iter(failed.items()))
-        blocks.append(f"**{len(failed)} runs failed and are not in these figures**, the first ({first}) with: {why}")
+        blocks.append(
+            f"{len(failed)} of {count} runs failed and are not counted above, the first ({first}) with: {why}"
+        )
     return "\n\n".join(blocks) + "\n"
 
 

@@ -41,7 +41,7 @@ ENOUGH = 0.5
 """Share of an obstacle's points that must be in clusters, and of a cluster's that make it a piece of the obstacle."""
 
 OUTCOMES = ("found", "merged", "split", "missed")
-DRAWN = ("dbscan, eps 0.5 m", "hdbscan")
+DRAWN = ("DBSCAN, eps 0.5 m", "HDBSCAN")
 """The two panels: both at this package's defaults."""
 
 
@@ -80,11 +80,11 @@ def _textbook(cells: Cells) -> Grouping:
 
 
 METHODS: dict[str, Callable[[Cells], Grouping]] = {
-    "dbscan, eps 0.3 m": _dbscan(0.3),
-    "dbscan, eps 0.5 m": _dbscan(0.5),
-    "dbscan, eps 0.7 m": _dbscan(0.7),
-    "hdbscan": _hdbscan,
-    "hdbscan, textbook": _textbook,
+    "DBSCAN, eps 0.3 m": _dbscan(0.3),
+    "DBSCAN, eps 0.5 m": _dbscan(0.5),
+    "DBSCAN, eps 0.7 m": _dbscan(0.7),
+    "HDBSCAN": _hdbscan,
+    "HDBSCAN, textbook": _textbook,
 }
 
 
@@ -198,10 +198,10 @@ def _score(cloud: Cloud, grouping: Grouping, drawn: bool) -> Row:
 def summarise(rows: Sequence[Row]) -> Document:
     methods = {name: _of_method([row["methods"][name] for row in rows], name) for name in METHODS}
     kinds = {name: {kind: _counts(_outcomes_of(rows, name, kind)) for kind in KINDS} for name in METHODS}
-    hdbscan_found = _found_shares(rows, "hdbscan")
+    hdbscan_found = _found_shares(rows, "HDBSCAN")
     differences = {}
     for name in METHODS:
-        if name != "hdbscan":
+        if name != "HDBSCAN":
             by_seed = hdbscan_found - _found_shares(rows, name)
             interval = bootstrap_mean(by_seed.tolist(), "found share")
             differences[name] = {"mean": float(by_seed.mean()), "interval": interval}
@@ -285,7 +285,7 @@ def markdown(document: Document) -> str:
             f"{obstacles} obstacles in the scenes of {seed_text(document['seeds'])}, one scan each. Merged: in one "
             "cluster with another obstacle; split: in two or more clusters; missed: most of it in none. Brackets: 95 % "
             "intervals (Wilson; bootstrap over scenes). Inflated area: what the circles take beyond the cells with "
-            "points, a scene. `hdbscan` is the package's, with its default gaps; `textbook` is scikit-learn's over the "
+            "points, a scene. HDBSCAN is the package's, with its default gaps; textbook is scikit-learn's over the "
             "whole cloud, given the smallest cluster's size alone; DBSCAN's default here is eps 0.5 m.",
             "Found, by kind of obstacle:",
             table(("clusterer", *KINDS), kinds),

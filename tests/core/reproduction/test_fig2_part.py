@@ -114,7 +114,7 @@ def test_the_packages_own_pipeline_finds_the_same_clusters(row: dict):
     for simulated in Simulator(stacks.draw_stacks(100_000).scenario(), 100_000):
         clusters = perceive(simulated.frame)
     assert clusters.counts.clustered == len(row["cells_m"])
-    found = row["methods"]["hdbscan"]
+    found = row["methods"]["HDBSCAN"]
     assert len(clusters) == found["clusters"]
     np.testing.assert_allclose(np.sort(clusters.radius_m), np.sort([r for *_, r in found["circles_m"]]), atol=1e-3)
 
@@ -122,7 +122,7 @@ def test_the_packages_own_pipeline_finds_the_same_clusters(row: dict):
 def scene_row(seed: int, outcomes: list[str | None], area: float) -> dict:
     scored = {"noise_share": 0.0, "clusters": 2, "area_m2": area, "split_area_m2": area}
     methods = {name: scored | {"outcomes": ["found", "found", None]} for name in fig2.METHODS}
-    methods["dbscan, eps 0.7 m"] = scored | {"outcomes": outcomes}
+    methods["DBSCAN, eps 0.7 m"] = scored | {"outcomes": outcomes}
     return {"seed": seed, "kinds": ["row", "row", "posts"], "cells_m": [], "methods": methods}
 
 
@@ -131,12 +131,12 @@ def test_counts_and_paired_differences():
         scene_row(seed, ["merged", "merged", None] if seed % 2 else ["found", "found", None], 3.0) for seed in range(12)
     ]
     document = fig2.summarise(rows)
-    found = document["methods"]["dbscan, eps 0.7 m"]
+    found = document["methods"]["DBSCAN, eps 0.7 m"]
     assert found["counts"] == {"found": 12, "merged": 12, "split": 0, "missed": 0}
     assert found["found_share"]["value"] == 0.5
-    assert document["by_kind"]["hdbscan"]["row"]["found"] == 24
-    assert sum(document["by_kind"]["hdbscan"]["posts"].values()) == 0
-    assert document["found_share_of_hdbscan_minus"]["dbscan, eps 0.7 m"]["mean"] == pytest.approx(0.5)
+    assert document["by_kind"]["HDBSCAN"]["row"]["found"] == 24
+    assert sum(document["by_kind"]["HDBSCAN"]["posts"].values()) == 0
+    assert document["found_share_of_hdbscan_minus"]["DBSCAN, eps 0.7 m"]["mean"] == pytest.approx(0.5)
     text = fig2.markdown(document)
-    assert re.search(r"- dbscan, eps 0.7 m: \+50.0 .*: more", text)
+    assert re.search(r"- DBSCAN, eps 0.7 m: \+50.0 .*: more", text)
     assert text.count("no difference shown") == 3
