@@ -24,7 +24,12 @@ from adcbf_cli.core.types import BoolArray, FloatArray, IntArray
 from adcbf_cli.core.vehicles.vehicle import Vehicle
 
 WIDTH = 2048
-"""States kept a layer, at most. Narrower searches come first: most ways are found by them."""
+"""States kept a layer, at most."""
+
+SEARCHES = ((32, 0.1, 1 / 3), (4, 0.05, 1 / 3), (1, 0.05, 1 / 3), (1, 0.025, 1 / 6))
+"""One after the other: the share of the width, the cells (m) of which the best state is kept, how long (s) wanted
+inputs are held. The first finds most ways; the last, which can do things in between, is better at close quarters
+than over many seconds. Longer periods with fewer states left out found more than shorter ones of the same cost."""
 
 AFTERWARDS_S = 3.0
 """A collision counts as avoided only where the way goes on for this long after the time of the hit."""
@@ -118,14 +123,13 @@ def find_escape(
     goal_m: FloatArray | None = None,
     goal_tolerance_m: float = 0.3,
     tick_s: float = 1 / 30,
-    period_s: float = 1 / 3,
     width: int = WIDTH,
 ) -> Escape:
     """A drive from a pose (3,) with inputs (2,) applied that touches nothing: until `until_ns`, or, with a goal
     (2,), until it is within `goal_tolerance_m` of it, by `until_ns` at the latest.
 
-    tick_s: the control period. period_s: how long wanted inputs are held. Three searches, each with more and
-    finer states than the one before, the last with periods half as long.
+    tick_s: the control period. width: states kept a layer by the widest search; SEARCHES are made one after the
+    other until one finds a way.
     """
     kept = _KeptWorld(world)
     task = _Task(kept, vehicle, np.asarray(pose, dtype=float), np.asarray(inputs, dtype=float), start_ns, tick_s)
@@ -138,11 +142,16 @@ def find_escape(
     if goal_m is not None:
         goal = way_to_goal(local, np.asarray(goal_m, dtype=float), goal_tolerance_m, vehicle.body_radius_m, ticks)
     expanded = 0
-    for wide, cells, held_s in ((width // 32, 1, period_s), (width // 4, 2, period_s), (width, 2, 0.5 * period_s)):
-        search = _Search(local, vehicle, goal, max(wide, 1), cells, max(round(held_s / tick_s), 1))
+    seen_whole: set[tuple[float, float]] = set()
+    for share, cell_m, held_s in SEARCHES:
+        if (cell_m, held_s) in seen_whole:
+            continue
+        search = _Search(local, vehicle, goal, max(width // share, 1), cell_m, max(round(held_s / tick_s), 1))
         wanted = search.run(task.inputs, ticks)
         expanded += search.expanded
         if wanted is None:
+            if not search.crowded:
+                seen_whole.add((cell_m, held_s))
             continue
         driven = vehicle.within_limits(wanted, task.inputs, tick_s, tick_s)
         way = Escape(True, driven, _driven(task, driven), expanded)
@@ -263,11 +272,12 @@ class _Layer:
 
 
 class _Search:
-    """One search. width: states kept a layer. fineness: of the cells within which the best state is kept.
-    held: ticks that wanted inputs are held for."""
+    """One search. width: states kept a layer. cell_m: within cells of this size, and of headings and inputs in
+    proportion, the best state is kept. held: ticks that wanted inputs are held for. After `run`, expanded: the periods
+    driven; crowded: whether the width ever left states out, without which a wider search would find no more."""
 
     def __init__(
-        self, local: LocalWorld, vehicle: Vehicle, goal: WayToGoal | None, width: int, fineness: int, held: int
+        self, local: LocalWorld, vehicle: Vehicle, goal: WayToGoal | None, width: int, cell_m: float, held: int
     ) -> None:
         self._local = local
         self._vehicle = vehicle
@@ -276,11 +286,12 @@ class _Search:
         self._held = held
         spread = 0.5 * (vehicle.input_max - vehicle.input_min)
         step = np.minimum(vehicle.rate_max * held * local.tick_s, spread)
-        self._cells = np.array([0.2, 0.2, np.pi / 12, *np.maximum(0.5 * step, 1e-6)]) / fineness
+        self._cells = np.array([1.0, 1.0, np.pi / 2.4, *np.maximum(2.5 * step, 1e-6)]) * cell_m
         levels = [np.unique(np.append(SPEED_LEVELS * vehicle.input_max[0], vehicle.input_min[0]))]
         levels.append(np.where(TURN_LEVELS < 0, -vehicle.input_min[1], vehicle.input_max[1]) * TURN_LEVELS)
         self._levels = levels
         self.expanded = 0
+        self.crowded = False
 
     def run(self, inputs: FloatArray, ticks: int) -> FloatArray | None:
         """The (T, 2) inputs of a way of at most this many ticks, None where none was found."""
@@ -289,7 +300,7 @@ class _Search:
         tick = 0
         while tick < ticks:
             count = min(self._held, ticks - tick)
-            layer, arrived = self._next(layers[-1], self._local.stretch(tick, count))
+            layer, arrived = self._next(layers[-1], self._local.stretch(tick, count), ticks - tick - count)
             layers.append(layer)
             if arrived is not None:
                 return self._inputs(layers, *arrived)
@@ -298,8 +309,9 @@ class _Search:
             tick += count
         return self._inputs(layers, 0, layers[-1].ticks) if self._goal is None else None
 
-    def _next(self, layer: _Layer, stretch: Stretch) -> tuple[_Layer, tuple[int, int] | None]:
-        """The layer after this one, and the state of it that has arrived and after how many ticks, if any."""
+    def _next(self, layer: _Layer, stretch: Stretch, left: int) -> tuple[_Layer, tuple[int, int] | None]:
+        """The layer after this one, with so many ticks left after it; and the state of it that has arrived and after
+        how many ticks, if any."""
         parent, wanted = self._choices(layer.inputs)
         self.expanded += len(parent)
         applied = self._ramped(layer.inputs[parent], wanted, stretch.ticks)
@@ -307,10 +319,11 @@ class _Search:
         for k in range(stretch.ticks):
             poses.append(self._vehicle.step(poses[-1], applied[:, k], self._local.tick_s))
         path = np.stack(poses, axis=1)
-        near = stretch.near(layer.pose, self._reach_m(layer), self._vehicle.body_radius_m)
+        reach_m = self._fastest(layer) * stretch.ticks * self._local.tick_s
+        near = stretch.near(layer.pose, reach_m, self._vehicle.body_radius_m)
         touched, clear_m = stretch.first_touch(self._vehicle, path, applied, near[parent], MARGIN_M)
         if self._goal is not None:
-            inside = self._goal.reached(path[:, 1:]) & (np.arange(stretch.ticks) < touched[:, None])
+            inside = (self._goal.gap_m(path[:, 1:]) <= 0.0) & (np.arange(stretch.ticks) < touched[:, None])
             done = np.flatnonzero(inside.any(axis=1))
             if len(done):
                 ticks = np.argmax(inside[done], axis=1)
@@ -319,6 +332,8 @@ class _Search:
                 last = _Layer(path[row, -1], applied[row, -1], parent[row], wanted[row], stretch.ticks)
                 return last, (0, int(ticks[best]) + 1)
         alive = np.flatnonzero(touched == stretch.ticks)
+        if self._goal is not None:
+            alive = alive[self._goal.gap_m(path[alive, -1]) <= self._fastest(layer) * left * self._local.tick_s]
         end = np.column_stack([path[alive, -1], applied[alive, -1]])
         chosen = alive[self._chosen(end, clear_m[alive])]
         return _Layer(path[chosen, -1], applied[chosen, -1], parent[chosen], wanted[chosen], stretch.ticks), None
@@ -340,10 +355,9 @@ class _Search:
         reach = self._vehicle.rate_max * self._local.tick_s * np.arange(1, ticks + 1)[:, None]
         return np.asarray(inputs[:, None] + np.clip((wanted - inputs)[:, None], -reach, reach))
 
-    def _reach_m(self, layer: _Layer) -> float:
-        """No state gets farther than this within a period."""
-        fastest = max(np.abs(layer.inputs[:, 0]).max(), np.abs(self._levels[0]).max())
-        return float(fastest * self._held * self._local.tick_s)
+    def _fastest(self, layer: _Layer) -> float:
+        """No state that comes after these is faster, m/s."""
+        return float(max(np.abs(layer.inputs[:, 0]).max(), np.abs(self._levels[0]).max()))
 
     def _chosen(self, state: FloatArray, clear_m: FloatArray) -> IntArray:
         """Which of the states (c, 5) x, y, yaw, inputs, with their clearances (c,), to go on from: the best of
@@ -358,6 +372,7 @@ class _Search:
         order = order[_firsts(np.round(turned[order] / self._cells))[0]]
         if len(order) <= self._width:
             return order
+        self.crowded = True
         best, rest = order[: self._width // 2], order[self._width // 2 :]
         rank = _firsts(np.floor(np.column_stack([state[rest, :2] / 0.5, state[rest, 2] / (0.25 * np.pi)])))[1]
         spread = rest[np.argsort(rank, kind="stable")[: self._width - len(best)]]
@@ -376,8 +391,11 @@ class _Search:
 
 def _firsts(cell: FloatArray) -> tuple[BoolArray, IntArray]:
     """Of rows in cells (c, d): which is its cell's first (c,), and each row's rank within its cell (c,)."""
-    _, group = np.unique(cell, axis=0, return_inverse=True)
-    group = group.reshape(-1)
+    if not len(cell):
+        return np.zeros(0, dtype=np.bool_), np.zeros(0, dtype=np.int64)
+    number = (cell - cell.min(axis=0)).astype(np.int64)
+    # One number a cell: sorting those is many times as fast as sorting rows.
+    _, group = np.unique(np.ravel_multi_index(tuple(number.T), tuple(number.max(axis=0) + 1)), return_inverse=True)
     order = np.argsort(group, kind="stable")
     sizes = np.bincount(group)
     rank = np.empty(len(group), dtype=np.int64)

@@ -176,10 +176,10 @@ class WayToGoal:
         self._low_m = low_m
         self._metres = metres
 
-    def reached(self, pose: FloatArray) -> BoolArray:
-        """(...) whether poses (..., 3) are at the goal."""
-        gap = pose[..., :2] - self._goal_m
-        return np.asarray(np.hypot(gap[..., 0], gap[..., 1]) <= self._tolerance_m)
+    def gap_m(self, pose: FloatArray) -> FloatArray:
+        """(...) metres in a straight line that poses (..., 3) are too far from the goal; not above 0 once there."""
+        offset = pose[..., :2] - self._goal_m
+        return np.asarray(np.hypot(offset[..., 0], offset[..., 1]) - self._tolerance_m)
 
     def distance(self, point_m: FloatArray) -> FloatArray:
         """(n,) metres to go from points (n, 2)."""
