@@ -9,63 +9,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from adcbf_cli.core.config import PlanningConfig, VehicleConfig
-from adcbf_cli.core.planning import pursuit, starts
+from adcbf_cli.core.planning import fallback, pursuit, starts
 from adcbf_cli.core.planning.barrier import AdaptiveGamma, Barrier, FixedGamma, gamma_at
 from adcbf_cli.core.planning.columns import can_bind, columns_of, nearest
 from adcbf_cli.core.planning.merit import barrier_rows
 from adcbf_cli.core.planning.mpc import MpcPlanner, problem_of
 from adcbf_cli.core.planning.planner import Outcome, Situation
 from adcbf_cli.core.planning.presets import make_planner
-from adcbf_cli.core.planning.problem import Instance, Obstacles, Problem, Solution, SolverStatus
+from adcbf_cli.core.planning.problem import Instance, Problem
 from adcbf_cli.core.planning.reference import ReferencePath
-from adcbf_cli.core.types import FloatArray, Notes
-from adcbf_cli.core.vehicles.vehicle import Vehicle
-from tests.core.planning.hard_cases import check, known
-
-PLANNING = PlanningConfig()
-VEHICLE = Vehicle.from_config(VehicleConfig())
-STRAIGHT = ReferencePath(np.array([[0.0, 0.0], [9.0, 0.0]]), 0.75)
-Discs = list[tuple[float, float, float, float, float]]
-
-
-def seen(discs: Discs) -> Obstacles:
-    return known(np.asarray(discs, dtype=float).reshape(-1, 5), 0.0, PLANNING.steps, PLANNING.step_s)
-
-
-def situation(discs: Discs, inputs: tuple[float, float] = (0.75, 0.0), stamp_ns: int = 0) -> Situation:
-    return Situation(stamp_ns, np.zeros(3), np.array(inputs), STRAIGHT, seen(discs))
-
-
-def planner(name: str = "ad-cbf-mpc", **changes: object) -> MpcPlanner:
-    made = make_planner(name, VEHICLE, PlanningConfig.model_validate(changes), Notes())
-    assert isinstance(made, MpcPlanner)
-    return made
-
-
-class Says:
-    """A solver that answers what it is told to: what the ladder does with answers is under test."""
-
-    def __init__(self, *answers: Solution) -> None:
-        self.answers = list(answers)
-        self.guesses: list[FloatArray] = []
-        self.instances: list[Instance] = []
-
-    def solve(self, instance: Instance, guess: FloatArray) -> Solution:
-        self.instances.append(instance)
-        self.guesses.append(guess)
-        return self.answers[min(len(self.guesses), len(self.answers)) - 1]
-
-
-def told(answer: Solution, *more: Solution, name: str = "ad-cbf-mpc", **changes: object) -> tuple[MpcPlanner, Says]:
-    made, solver = planner(name, **changes), Says(answer, *more)
-    made._solver = solver
-    return made, solver
-
-
-def constant(speed: float, turn: float = 0.0, merit: float = 1.0, status: str = "converged") -> Solution:
-    return Solution(np.tile([speed, turn], (PLANNING.steps, 1)), SolverStatus(status), 3, merit)
-
+from adcbf_cli.core.types import Notes
+from tests.core.planning.hard_cases import check
+from tests.core.planning.told import PLANNING, STRAIGHT, VEHICLE, Discs, Says, constant, planner, seen, situation, told
 
 # Columns
 
@@ -126,6 +81,20 @@ def test_only_what_is_far_is_left_out() -> None:
     assert can_bind(problem, np.zeros(3), np.zeros(2), columns).tolist() == [True, False, True]
     printed = problem_of(VEHICLE, PLANNING, Barrier(FixedGamma(0.1), form="printed"))
     assert can_bind(printed, np.zeros(3), np.zeros(2), columns).all()
+
+
+def test_whether_an_obstacle_can_bind_is_its_own_affair() -> None:
+    """A stage that is looked at first decides where it can; the others must then say the same."""
+    problem = problem_of(VEHICLE, PLANNING, Barrier(AdaptiveGamma()))
+    rng = np.random.default_rng(2)
+    discs = np.column_stack([rng.uniform(-9, 9, (40, 2)), rng.normal(0, 1, (40, 2)), rng.uniform(0.1, 1, 40)])
+    pose, last = np.array([0.5, -0.3, 1.0]), np.array([0.6, 0.1])
+    columns = columns_of(seen([tuple(disc) for disc in discs.tolist()]), "predicted", 0.5, False)
+    together = can_bind(problem, pose, last, columns)
+    alone = [bool(can_bind(problem, pose, last, columns.taken(np.array([i])))[0]) for i in range(40)]
+    assert together.tolist() == alone
+    assert 5 < together.sum() < 35
+    assert can_bind(problem, pose, last, columns.taken(together)).all()
 
 
 def test_the_nearest_over_the_horizon_are_kept_with_all_their_columns() -> None:
@@ -194,6 +163,19 @@ def test_a_shifted_start_is_within_reach_of_the_inputs() -> None:
     made.plan(situation([], inputs=(0.1, 0.0), stamp_ns=33_333_333))
     check(solver.guesses[1], np.array([0.1, 0.0]), VEHICLE, PLANNING)
     assert solver.guesses[1][-1].tolist() == [0.9, 0.5]
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 9999), wild=st.floats(0.0, 2.0))
+def test_limits_are_kept_as_the_vehicle_keeps_them(seed: int, wild: float) -> None:
+    rng = np.random.default_rng(seed)
+    last = rng.uniform([-0.2, -1.2], [1.2, 1.2])
+    wanted = last + np.cumsum(rng.normal(0.0, wild * np.array([0.04, 0.1]), (30, 2)), axis=0)
+    expected = VEHICLE.within_limits(wanted, last, 0.1, 1 / 30)
+    for inputs in (wanted, expected):
+        got = fallback.within_limits(VEHICLE, inputs, last, 0.1, 1 / 30)
+        np.testing.assert_array_equal(got, expected)
+        assert not np.shares_memory(got, inputs)
 
 
 def test_the_lower_merit_wins_and_failures_do_not() -> None:
@@ -304,76 +286,6 @@ def test_a_solver_beyond_the_limits_is_caught_and_counted() -> None:
     plan = made.plan(situation([], inputs=(0.4, 0.0)))
     check(plan.inputs, np.array([0.4, 0.0]), VEHICLE, PLANNING)
     assert notes.counters == {"plans out of the vehicle's limits": 1}
-
-
-# Without the ladder
-
-
-@pytest.mark.parametrize("hard", [False, True])
-def test_without_the_ladder_a_plan_into_an_obstacle_is_driven_and_told(hard: bool) -> None:
-    into: Discs = [(1.5, 0.0, 0.0, 0.0, 0.4)]
-    made, _ = told(constant(0.75), fallback="none", hard=hard)
-    plan = made.plan(situation(into))
-    assert plan.outcome is Outcome.RELAXED
-    assert plan.details is not None
-    assert plan.details.violation_m2 > 0.1
-    assert not plan.details.feasible
-    np.testing.assert_array_equal(plan.inputs, np.tile([0.75, 0.0], (30, 1)))
-    braked, _ = told(constant(0.75), hard=hard)
-    assert braked.plan(situation(into)).outcome is Outcome.BRAKED
-
-
-def test_without_the_ladder_the_last_plan_goes_on_where_nothing_is_solved() -> None:
-    ramp = Solution(np.column_stack([np.full(30, 0.7), 0.01 * np.arange(30)]), SolverStatus.CONVERGED, 3, 1.0)
-    failed = constant(0.1, status="failed")
-    made, _ = told(ramp, failed, fallback="none")
-    made.plan(situation([], inputs=(0.7, 0.0)))
-    disc: Discs = [(1.5, 0.0, 0.0, 0.0, 0.4)]
-    for stamp_ns in (50_000_000, 250_000_000):
-        turn = stamp_ns * 1e-10
-        plan = made.plan(situation(disc, inputs=(0.7, turn), stamp_ns=stamp_ns))
-        np.testing.assert_allclose(plan.inputs[:3], [[0.7, turn + 0.01 * k] for k in range(3)], atol=1e-12)
-        assert plan.outcome is Outcome.RELAXED
-        assert plan.details is not None
-        assert (plan.details.status, plan.details.start, plan.details.feasible) == ("failed", "shifted", False)
-        assert plan.details.violation_m2 > 0.1, "what it leads to is told"
-        assert plan.details.merit > 100
-
-
-def test_without_the_ladder_inputs_are_held_where_there_is_no_last_plan() -> None:
-    for stamps in ((0,), (0, 3_000_000_000)):
-        made, _ = told(*([constant(0.6)] * (len(stamps) - 1)), constant(0.1, status="failed"), fallback="none")
-        for stamp_ns in stamps:
-            plan = made.plan(situation([], inputs=(0.4, 0.2), stamp_ns=stamp_ns))
-        np.testing.assert_array_equal(plan.inputs, np.tile([0.4, 0.2], (30, 1)))
-        np.testing.assert_allclose(plan.poses, VEHICLE.roll_out(np.zeros(3), plan.inputs, 0.1))
-        assert plan.outcome is Outcome.RELAXED, "it does not brake"
-        assert plan.details is not None
-        assert (plan.details.start, plan.details.feasible) == ("held", False)
-
-
-def test_without_the_ladder_standing_without_a_plan_is_stopped() -> None:
-    made, _ = told(constant(np.nan), fallback="none")
-    plan = made.plan(situation([], inputs=(0.0, 0.0)))
-    assert plan.outcome is Outcome.STOPPED
-    assert not plan.inputs.any()
-
-
-def test_without_the_ladder_plans_stay_finite_and_within_limits() -> None:
-    made, _ = told(constant(7.0), constant(np.inf), constant(0.5, merit=np.nan), fallback="none")
-    last = np.array([0.4, -0.5])
-    for tick in range(4):
-        plan = made.plan(situation([(0.5, 0.1, 0.0, 0.0, 0.4)], inputs=tuple(last), stamp_ns=tick * 33_333_333))
-        check(plan.inputs, last, VEHICLE, PLANNING)
-        assert plan.outcome is Outcome.RELAXED
-        last = plan.inputs[0]
-
-
-def test_where_every_barrier_holds_the_ladder_changes_nothing() -> None:
-    disc: Discs = [(2.0, 0.3, 0.0, 0.0, 0.4)]
-    with_ladder, without = planner().plan(situation(disc)), planner(fallback="none").plan(situation(disc))
-    assert with_ladder.outcome is without.outcome is Outcome.SOLVED
-    np.testing.assert_array_equal(with_ladder.inputs, without.inputs)
 
 
 def test_decay_is_a_relaxation_with_its_size() -> None:

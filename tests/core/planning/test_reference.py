@@ -87,6 +87,23 @@ def test_nearest_is_the_nearest(corners: FloatArray, x: float, y: float) -> None
     np.testing.assert_allclose(path.distance(point[None]), [distance], atol=1e-9)
 
 
+@settings(max_examples=80, deadline=None)
+@given(points, st.tuples(st.floats(-25, 25), st.floats(-25, 25)), st.floats(0, 1), st.floats(0.1, 30))
+def test_nearest_within_a_window_is_the_nearest_there(
+    corners: FloatArray, place: tuple[float, float], share: float, window_m: float
+) -> None:
+    if np.hypot(*np.diff(corners, axis=0).T).max() < 0.1:
+        return
+    path, point = ReferencePath(corners, 0.75), np.array(place)
+    around_m = share * path.length_m
+    low, high = max(around_m - window_m, 0.0), min(around_m + window_m, path.length_m)
+    along = path.nearest(point, around_m, window_m)
+    assert low - 1e-9 <= along <= high + 1e-9
+    gap = path.at(np.append(np.linspace(low, high, 3001), along))[:, :2] - point
+    distance = np.hypot(gap[:, 0], gap[:, 1])
+    assert distance[-1] <= distance[:-1].min() + 1e-9
+
+
 def test_a_horizon_goes_on_at_the_paths_speed() -> None:
     path = ReferencePath(np.array([[0.0, 0.0], [100.0, 0.0]]), 0.8)
     horizon = path.horizon(np.zeros(3), 10.0, 30, 0.1, brake_mps2=1.0)

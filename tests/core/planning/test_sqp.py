@@ -52,6 +52,20 @@ def test_limits_are_kept_and_the_merit_falls_whatever_comes(barrier: Barrier, ki
         assert found.merit <= merit(problem, instance, start) * (1 + 1e-3)
 
 
+def test_a_solution_does_not_depend_on_what_was_solved_before() -> None:
+    """What is kept of an instance serves that instance only, and one that is not finite spoils no other."""
+    problem = problem_of(BARRIERS["adaptive"])
+    solver = SqpSolver(problem, 3, 5)
+    instances = [random_instance(problem, seed, obstacles=1 + seed) for seed in range(4)]
+    broken = replace(instances[1], pose=np.array([np.nan, 0.0, 0.0]))
+    for instance in (instances[0], instances[1], broken, instances[1], instances[2], instances[0], instances[3]):
+        for guess in (cruising(problem), np.zeros((problem.steps, 2))):
+            found, fresh = solver.solve(instance, guess), SqpSolver(problem, 3, 5).solve(instance, guess)
+            np.testing.assert_array_equal(found.inputs, fresh.inputs)
+            assert found.status is fresh.status
+            assert (found.status is SolverStatus.FAILED) == (instance is broken)
+
+
 @kinds
 @barriers
 def test_with_and_without_a_compiler_solutions_are_equal(barrier: Barrier, kind: str) -> None:
