@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from adcbf_cli.commands.options import Json
+from adcbf_cli.core.reproduction import PARTS
 
 if TYPE_CHECKING:
     from adcbf_cli.core.reproduction.part import Document, Part
@@ -22,7 +23,7 @@ RUNS = "runs"
 
 def reproduce(
     parts: Annotated[
-        list[str], typer.Argument(metavar="PART...", help="table1, fig2, fig3, fig4, or all.", show_default=False)
+        list[str], typer.Argument(metavar="PART...", help=f"{', '.join(PARTS)}, or all.", show_default=False)
     ],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Folder to write.")] = Path(
         "reproduction"
@@ -79,7 +80,6 @@ class _Made:
 def _chosen(parts: Sequence[str]) -> list[str]:
     """The parts asked for, in their own order; UsageError for one that there is not."""
     from adcbf_cli.core.errors import UsageError
-    from adcbf_cli.core.reproduction import PARTS
     from adcbf_cli.io.settings import nearest
 
     known = (*PARTS, ALL)
@@ -97,8 +97,8 @@ def _make(part: Part, folder: Path, seeds: Sequence[int], jobs: int) -> _Made:
 
     files = PartFiles(folder, part.name)
     tasks = part.tasks(seeds)
-    runs_key = content_key(part.name, dict(part.settings))
-    key = content_key(runs_key, list(tasks))
+    runs_key = content_key(part.runs_of or part.name, dict(part.settings))
+    key = content_key(part.name, runs_key, list(tasks))
     document = files.finished(key)
     if document is not None:
         say(f"{part.name}: finished already, in {folder}")
@@ -120,7 +120,7 @@ def _run(
     from adcbf_cli.core.errors import AdcbfError
     from adcbf_cli.io.run_rows import RunRows
 
-    with RunRows(folder, part.name, key) as rows:
+    with RunRows(folder, part.runs_of or part.name, key) as rows:
         if rows.opened == "replaced":
             say(f"{part.name}: the kept runs are of other code or settings; running all again")
         found = run_campaign(tasks, part.run, rows, min(jobs, max(len(tasks), 1)), part.name)
