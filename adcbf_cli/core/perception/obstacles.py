@@ -132,13 +132,16 @@ def measure(grouped: Grouped, config: PerceptionConfig, centre: str) -> Shapes:
 
 def circle_weight(circle: Circles, box: Rectangles, size: IntArray, range_noise_m: float) -> FloatArray:
     """How far to trust each circle, (g,) in [0, 1], continuous in the points; the sensor is the origin."""
-    radius = np.nan_to_num(circle.radius_m, nan=np.inf)
-    expected = range_noise_m + ROUNDNESS * np.nan_to_num(circle.radius_m)
-    fits = np.clip(2.0 - np.nan_to_num(circle.rms_m, nan=np.inf) / expected, 0.0, 1.0)
-    spans = np.clip((np.nan_to_num(circle.arc_rad) - NARROW_ARC_RAD) / (WIDE_ARC_RAD - NARROW_ARC_RAD), 0.0, 1.0)
-    behind = np.hypot(*np.nan_to_num(circle.centre_m).T) - np.hypot(*box.centre_m.T)
-    convex = np.clip(1.0 + behind / np.where(np.isfinite(radius), 0.25 * radius, 1.0), 0.0, 1.0)
-    ratio = (box.rms_m / np.maximum(np.nan_to_num(circle.rms_m, nan=np.inf), 1e-9)) ** 2
+    defined = np.isfinite(circle.radius_m)
+    radius = np.where(defined, circle.radius_m, 1.0)
+    rms = np.where(defined, circle.rms_m, np.inf)
+    fits = np.clip(2.0 - rms / (range_noise_m + ROUNDNESS * radius), 0.0, 1.0)
+    arc = np.where(defined, circle.arc_rad, 0.0)
+    spans = np.clip((arc - NARROW_ARC_RAD) / (WIDE_ARC_RAD - NARROW_ARC_RAD), 0.0, 1.0)
+    centre = np.where(defined[:, None], circle.centre_m, 0.0)
+    behind = np.hypot(*centre.T) - np.hypot(*box.centre_m.T)
+    convex = np.clip(1.0 + behind / (0.25 * radius), 0.0, 1.0)
+    ratio = (box.rms_m / np.maximum(rms, 1e-9)) ** 2
     rounder = np.clip((ratio - BOXY) / (1.0 - BOXY), 0.0, 1.0)
     weight: FloatArray = np.where(size >= MIN_CIRCLE_POINTS, fits * spans * convex * rounder, 0.0)
     return weight

@@ -75,11 +75,11 @@ def fit_circles(xy_m: FloatArray, start: IntArray) -> Circles:
     local, middle, scale = _normalised(xy_m, start)
     centre, radius = _kasa(local, start)
     defined = np.isfinite(radius)
+    x, y = np.ascontiguousarray(local.T)
     for _ in range(REFINEMENTS):
-        offset = local - centre[owner]
-        distance = np.maximum(np.sqrt((offset**2).sum(axis=1)), SMALLEST)
-        jacobian = np.column_stack([offset / distance[:, None], np.ones(len(local))])
-        step, solvable = _normal_equations(jacobian, distance - radius[owner], start)
+        east, north = x - centre[owner, 0], y - centre[owner, 1]
+        distance = np.maximum(np.sqrt(east**2 + north**2), SMALLEST)
+        step, solvable = _normal_equations(east / distance, north / distance, distance - radius[owner], start)
         defined &= solvable & (np.abs(step).max(axis=1) < DIVERGED)
         step[~defined] = 0.0
         centre = centre + step[:, :2]
@@ -123,8 +123,8 @@ def _describe(
 
 def _kasa(xy: FloatArray, start: IntArray) -> tuple[FloatArray, FloatArray]:
     """Centres (g, 2) and radii (g,) of Kasa's circles; radius NaN where undetermined."""
-    design = np.column_stack([2 * xy, np.ones(len(xy))])
-    solution, solvable = _normal_equations(design, (xy**2).sum(axis=1), start)
+    x, y = xy[:, 0], xy[:, 1]
+    solution, solvable = _normal_equations(2 * x, 2 * y, x**2 + y**2, start)
     solvable &= np.diff(np.append(start, len(xy))) >= 3
     centre = solution[:, :2]
     square = solution[:, 2] + (centre**2).sum(axis=1)
@@ -132,20 +132,21 @@ def _kasa(xy: FloatArray, start: IntArray) -> tuple[FloatArray, FloatArray]:
     return np.where(solvable[:, None], centre, 0.0), radius
 
 
-def _normal_equations(design: FloatArray, target: FloatArray, start: IntArray) -> tuple[FloatArray, BoolArray]:
-    """Least squares in each group, three unknowns: solutions (g, 3), and which are determined."""
-    products = design[:, :, None] * design[:, None, :]
-    matrix = np.add.reduceat(products.reshape(-1, 9), start, axis=0).reshape(-1, 3, 3)
-    right = np.add.reduceat(design * target[:, None], start, axis=0)
-    size = np.diff(np.append(start, len(design)))
-    matrix = matrix / size[:, None, None]
-    right = right / size[:, None]
-    finite = np.asarray(np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(right).all(axis=1))
-    matrix = np.where(finite[:, None, None], matrix, np.eye(3))
+def _normal_equations(
+    u: FloatArray, v: FloatArray, target: FloatArray, start: IntArray
+) -> tuple[FloatArray, BoolArray]:
+    """Least squares u a + v b + c = target in each group, (n,) each: solutions (g, 3), and which are determined."""
+    products: FloatArray = np.stack([u * u, u * v, u, v * v, v, u * target, v * target, target])
+    means: FloatArray = np.add.reduceat(products, start, axis=1) / np.diff(np.append(start, len(u)))
+    finite: BoolArray = np.isfinite(means).all(axis=0)
+    sums = np.ones((len(start), 9))
+    sums[:, :8] = means[[0, 1, 2, 1, 3, 4, 2, 4]].T
+    matrix: FloatArray = np.where(finite[:, None], sums, np.eye(3).ravel()).reshape(-1, 3, 3)
     solvable: BoolArray = finite & (np.abs(np.linalg.det(matrix)) > 1e-9)
     matrix = np.where(solvable[:, None, None], matrix, np.eye(3))
-    right = np.where(solvable[:, None], right, 0.0)
-    return np.linalg.solve(matrix, right[:, :, None])[:, :, 0], solvable
+    right = np.where(solvable[:, None], means[5:].T, 0.0)
+    solution: FloatArray = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
+    return solution, solvable
 
 
 def _arc(angle_rad: FloatArray, owner: IntArray, g: int) -> FloatArray:
