@@ -24,6 +24,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
@@ -31,7 +32,7 @@ import numpy as np
 
 from adcbf_cli.core.config import PerceptionConfig
 from adcbf_cli.core.perception.grid import cell_numbers
-from adcbf_cli.core.types import BoolArray, FloatArray, Notes
+from adcbf_cli.core.types import BoolArray, FloatArray, IntArray, Notes
 
 if TYPE_CHECKING:
     from pypatchworkpp import patchworkpp
@@ -94,15 +95,17 @@ def coarse_plane(points_m: FloatArray, sensor_height_m: float | None) -> Plane |
     lows = _lowest_of_cells(points_m[:: max(1, len(points_m) // PLANE_POINTS)])
     if len(lows) < MIN_PLANE_CELLS:
         return None
-    draw = np.random.default_rng(0).integers(0, len(lows), size=(HYPOTHESES, 3))
-    draw = draw[(draw[:, 0] != draw[:, 1]) & (draw[:, 1] != draw[:, 2]) & (draw[:, 0] != draw[:, 2])]
-    planes = _planes_through(lows[draw])
+    planes = _planes_through(lows[_drawn_triples(len(lows))])
     planes = planes[_plausible(planes, sensor_height_m)]
     if len(planes) == 0:
         return None
     best = planes[np.argmax(_support(planes, lows))]
+    fitted_to = np.zeros(len(lows), dtype=bool)
     for _ in range(3):
         near = np.abs(lows[:, 2] - lows[:, :2] @ best[:2] - best[2]) < PLANE_TOLERANCE_M
+        if (near == fitted_to).all():  # the same cells give the same plane
+            break
+        fitted_to = near
         design = np.column_stack([lows[near, :2], np.ones(int(near.sum()))])
         fitted, _, rank, _ = np.linalg.lstsq(design, lows[near, 2], rcond=None)
         if rank < 3 or not _plausible(fitted[None], sensor_height_m)[0]:
@@ -130,6 +133,15 @@ def _lowest_of_cells(points_m: FloatArray) -> FloatArray:
     return points_m[candidates[first]]
 
 
+@lru_cache(maxsize=256)
+def _drawn_triples(count: int) -> IntArray:
+    """(k, 3) triples of different numbers below count, the same ones for each count."""
+    draw: IntArray = np.random.default_rng(0).integers(0, count, size=(HYPOTHESES, 3))
+    draw = draw[(draw[:, 0] != draw[:, 1]) & (draw[:, 1] != draw[:, 2]) & (draw[:, 0] != draw[:, 2])]
+    draw.flags.writeable = False
+    return draw
+
+
 def _planes_through(triples_m: FloatArray) -> FloatArray:
     """Planes (k, 3) as (slope_x, slope_y, offset) through three points each, (k, 3, 3); vertical and
     undefined ones are left out."""
@@ -155,9 +167,14 @@ def _plausible(planes: FloatArray, sensor_height_m: float | None) -> BoolArray:
 
 def _support(planes: FloatArray, lows_m: FloatArray) -> FloatArray:
     """Cells on each plane minus cells below it: the ground is the lowest surface, not a car's roof."""
-    residual = lows_m[:, 2] - planes[:, :2] @ lows_m[:, :2].T - planes[:, 2:]
-    on = np.maximum(0.0, 1.0 - (residual / PLANE_TOLERANCE_M) ** 2).sum(axis=1)
-    support: FloatArray = on - (residual < -2 * PLANE_TOLERANCE_M).sum(axis=1)
+    residual = planes[:, :2] @ lows_m[:, :2].T
+    np.subtract(lows_m[:, 2], residual, out=residual)
+    residual -= planes[:, 2:]
+    below = np.count_nonzero(residual < -2 * PLANE_TOLERANCE_M, axis=1)
+    residual /= PLANE_TOLERANCE_M
+    np.multiply(residual, residual, out=residual)
+    np.subtract(1.0, residual, out=residual)
+    support: FloatArray = np.maximum(residual, 0.0, out=residual).sum(axis=1) - below
     return support
 
 
