@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -86,10 +87,17 @@ def _transition_matrix(derivatives: int, dt: float) -> FloatArray:
 
 def _white_noise(derivatives: int, dt: float, density: FloatArray) -> FloatArray:
     """Continuous white noise of spectral density (3,) on each axis's highest derivative."""
+    return np.asarray(np.kron(_one_axis_noise(derivatives, dt), np.diag(density)), dtype=np.float64)
+
+
+@lru_cache(maxsize=64)
+def _one_axis_noise(derivatives: int, dt: float) -> FloatArray:
+    """The same on one axis, of density 1. Most frames come at one rate, and filterpy takes its time."""
     from filterpy.common import Q_continuous_white_noise
 
-    one_axis: FloatArray = Q_continuous_white_noise(derivatives, dt)
-    return np.asarray(np.kron(one_axis, np.diag(density)), dtype=np.float64)
+    noise: FloatArray = Q_continuous_white_noise(derivatives, dt)
+    noise.flags.writeable = False
+    return noise
 
 
 def _turn_noise(dt: float, density: FloatArray, turn_density: float) -> FloatArray:
