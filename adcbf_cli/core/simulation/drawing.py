@@ -30,6 +30,7 @@ class Drawing:
     def __init__(self, seed: int) -> None:
         self.seed = seed
         self._values = 0
+        self._drawn_values = 0
 
     def value(self, node: Any, place: Place, copy: int = 0, attempt: int = 0) -> Any:
         """What a node of the file becomes: mappings and lists with every random value in them drawn.
@@ -47,7 +48,14 @@ class Drawing:
             return [self.value(inner, (*place, index), copy, attempt) for index, inner in enumerate(node)]
         return node
 
+    def varies(self, node: Any, place: Place) -> bool:
+        """Whether a node of the file is or holds a random value."""
+        before = self._drawn_values
+        self.value(node, place)
+        return self._drawn_values > before
+
     def _drawn(self, node: dict[str, Any], place: Place, copy: int, attempt: int) -> Any:
+        self._drawn_values += 1
         ((kind, given),) = node.items()
         rng = generator(self.seed, Purpose.SCENE, _number_of(place, copy, attempt))
         if kind == "choice":
@@ -64,14 +72,6 @@ class Drawing:
 def is_random(node: Any) -> bool:
     """Whether a node of the file is itself a random value."""
     return isinstance(node, dict) and len(node) == 1 and next(iter(node)) in KINDS
-
-
-def holds_random(node: Any) -> bool:
-    """Whether a node is or holds a random value."""
-    if is_random(node):
-        return True
-    inner = node.values() if isinstance(node, dict) else node if isinstance(node, list) else ()
-    return any(holds_random(value) for value in inner)
 
 
 def dotted(place: Place) -> str:

@@ -15,14 +15,16 @@ import numpy as np
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from adcbf_cli.core.errors import UsageError
-from adcbf_cli.core.simulation.drawing import Drawing, Place, dotted, holds_random
+from adcbf_cli.core.simulation.drawing import Drawing, Place, dotted
 from adcbf_cli.core.simulation.footprints import Footprint, footprint, mover_radius_m
 from adcbf_cli.core.simulation.paths import beside, crossing_line, motion_along, route_points
 from adcbf_cli.core.simulation.problems import first_problem
 from adcbf_cli.core.simulation.scenario import (
+    LEAST_FREE_M,
     Box,
     CrossingPath,
     Cylinder,
+    Ego,
     Mover,
     Person,
     Point2,
@@ -67,10 +69,11 @@ def draw_scene(data: dict[str, Any]) -> DrawnScene:
     surroundings = _surroundings(out)
     entries: dict[Place, Place] = {}
     for name, nodes in lists.items():
-        out[name] = []
-        for entry in _entries(nodes, name, drawing):
-            entries[(name, len(out[name]))] = entry.place
-            out[name].append(_placed(entry, drawing, surroundings))
+        listed = list(_entries(nodes, name, drawing))
+        entries.update({(name, index): entry.place for index, entry in enumerate(listed)})
+        fixed_first = sorted(range(len(listed)), key=lambda index: listed[index].varies)
+        placed = {index: _placed(listed[index], drawing, surroundings) for index in fixed_first}
+        out[name] = [placed[index] for index in range(len(listed))]
     return DrawnScene(out, entries)
 
 
@@ -78,6 +81,7 @@ class _Entry(NamedTuple):
     node: Any
     place: Place
     copy: int
+    varies: bool
 
 
 def _entries(nodes: list[Any], name: str, drawing: Drawing) -> Iterator[_Entry]:
@@ -85,15 +89,17 @@ def _entries(nodes: list[Any], name: str, drawing: Drawing) -> Iterator[_Entry]:
     for index, node in enumerate(nodes):
         place: Place = (name, index)
         if not (isinstance(node, dict) and "repeat" in node):
-            yield _Entry(node, place, 0)
+            yield _Entry(node, place, 0, drawing.varies(node, place))
             continue
         if node.keys() != {"repeat", "each"}:
             raise UsageError(f"{dotted(place)}: an entry that repeats has the keys repeat and each, and no others")
         count = drawing.value(node["repeat"], (*place, "repeat"))
         if type(count) is not int or not 0 <= count <= MAX_COPIES:
             raise UsageError(f"{dotted(place)}.repeat: must be a whole number from 0 to {MAX_COPIES}")
+        inner: Place = (*place, "each")
+        varies = drawing.varies(node["each"], inner)
         for copy in range(count):
-            yield _Entry(node["each"], (*place, "each"), copy)
+            yield _Entry(node["each"], inner, copy, varies)
 
 
 @dataclass(slots=True)
@@ -155,10 +161,22 @@ def _surroundings(data: dict[str, Any]) -> _Surroundings:
     length = float(duration) if isinstance(duration, int | float) and 0 < duration <= 3600 else 1.0
     times = np.linspace(0.0, length, min(MAX_TIMES, 2 + int(length / TIME_STEP_S)))
     if data.get("route") is None:
-        return _Surroundings(None, None, None, 0.0, 0.0, times)
+        return _Surroundings(None, _scripted_start(data), None, LEAST_FREE_M, 0.0, times)
     route = _checked(Route, data["route"], ("route",))
     way = route_points(route)
     return _Surroundings(way, way[0], way[-1], route.keep_free_m, route.passage_m, times)
+
+
+def _scripted_start(data: dict[str, Any]) -> FloatArray | None:
+    """(2,) where a scripted ego begins, if the file says so in a way that can be read."""
+    try:
+        path = Ego.model_validate(data.get("ego")).path
+    except ValidationError:
+        return None
+    if path is None:
+        return None
+    motion = motion_along(path, np.zeros(1))
+    return np.concatenate([motion.x_m, motion.y_m])
 
 
 def _placed(entry: _Entry, drawing: Drawing, around: _Surroundings) -> Any:
@@ -172,7 +190,7 @@ def _placed(entry: _Entry, drawing: Drawing, around: _Surroundings) -> Any:
             thing = _THING[list_name].validate_python(out)
         except ValidationError:
             return out
-        if around.place(thing, must_fit=holds_random(entry.node)):
+        if around.place(thing, must_fit=entry.varies):
             return out
     raise UsageError(
         f"{dotted(entry.place)}: no free place in {MAX_ATTEMPTS} draws: all were too near the start, the goal or others"

@@ -19,6 +19,8 @@ Share = Annotated[float, Field(ge=0, lt=1)]
 
 MAX_RAYS_PER_SCAN = 500_000
 MAX_TERRAIN_CELLS = 1_000_000
+LEAST_FREE_M = 0.5
+"""What is drawn at random is never nearer to the ego's start: more than half the ego's size."""
 
 
 class StandPath(StageConfig):
@@ -228,7 +230,7 @@ class Route(StageConfig):
     length_m: Length | None = Field(
         None, description="Scale the points about the first one, so that the path gets this length."
     )
-    keep_free_m: Annotated[float, Field(ge=0.5, le=1000)] = Field(
+    keep_free_m: Annotated[float, Field(ge=LEAST_FREE_M, le=1000)] = Field(
         1.0, description="What is drawn at random keeps this far from the start, and what rests also from the goal."
     )
     passage_m: NonNegative = Field(

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from adcbf_cli.core.errors import UsageError
-from adcbf_cli.core.simulation.drawing import Drawing, holds_random
+from adcbf_cli.core.simulation.drawing import Drawing
 from adcbf_cli.core.simulation.footprints import Footprint, footprint, mover_radius_m
 from adcbf_cli.core.simulation.parsing import parse_scenario, scenario_yaml
 from adcbf_cli.core.simulation.paths import beside, motion_along, route_points
@@ -117,7 +117,7 @@ def test_a_drawn_scene_is_written_and_read_back(name: str):
     for seed, scene in zip(SEEDS, scenes, strict=False):
         written = scenario_yaml(scene)
         assert scene.seed == seed
-        assert not holds_random(yaml.safe_load(written))
+        assert not Drawing(0).varies(yaml.safe_load(written), ())
         assert parse_scenario(written) == scene
 
 
@@ -222,6 +222,26 @@ def test_what_is_random_keeps_clear_of_start_and_goal():
 def test_what_is_not_random_stays_where_the_file_says():
     text = STRAIGHT + "objects: [{kind: tree, at_m: [0.1, 0]}, {kind: tree, at_m: [0.2, 0]}]\n"
     assert [thing.at_m for thing in parse_scenario(text, seed=2).objects] == [(0.1, 0.0), (0.2, 0.0)]
+
+
+def test_what_is_random_goes_around_what_is_not_wherever_that_is_listed():
+    text = STRAIGHT.replace("]]}", "]], passage_m: 1}") + (
+        "objects:\n- {kind: tree, at_m: [{uniform: [3, 7]}, 3], trunk_radius_m: 0.2}\n"
+        "- {kind: tree, at_m: [5, 3], trunk_radius_m: 0.2}\n"
+    )
+    for seed in SEEDS:
+        drawn, fixed = parse_scenario(text, seed=seed).objects
+        assert isinstance(drawn, Tree)
+        assert fixed == Tree(kind="tree", at_m=(5.0, 3.0), trunk_radius_m=0.2)
+        assert abs(drawn.at_m[0] - 5) >= 1.4
+
+
+def test_nothing_random_starts_at_a_scripted_ego():
+    ego = "duration_s: 1\nego: {path: {kind: line, from_m: [1, 1], to_m: [5, 1], speed_mps: 1}}\n" + LIDAR
+    for seed in SEEDS:
+        (tree,) = parse_scenario(ego + "objects: [{kind: tree, at_m: [{uniform: [0, 2]}, 1]}]", seed=seed).objects
+        assert isinstance(tree, Tree)
+        assert abs(tree.at_m[0] - 1) >= 0.65
 
 
 def test_a_random_mover_walks_through_nothing():
