@@ -24,6 +24,7 @@ class Part:
     summarise: from the finished runs' rows, in the order of the tasks, to the document.
     markdown: the document as text below the part's heading.
     figure: whether `io.figures` has a module of this name, whose `draw` takes the document.
+    runs_of: the part whose runs these are, with the same settings, so that none is run twice; empty: its own.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Part:
     markdown: Callable[[Document], str]
     figure: bool = False
     settings: Mapping[str, Any] = field(default_factory=dict)
+    runs_of: str = ""
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
