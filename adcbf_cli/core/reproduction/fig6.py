@@ -104,7 +104,7 @@ def _movers(world: SimulatedWorld, count: int, shown: Row, start_ns: int, until_
         at = int(stamps[nearest]) if met else int(ends[1])
         movers.append(
             {
-                "way_m": _rounded(centre[:, mover]),
+                "way_m": _rounded(centre[mover]),
                 "met": met,
                 "gap_m": round(float(gap[nearest, mover]), 3),
                 "ego_m": _rounded(path[nearest]),
