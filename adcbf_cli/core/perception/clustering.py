@@ -44,6 +44,9 @@ if TYPE_CHECKING:
 MAX_PAIRS = 30_000_000
 """Neighbour pairs of one frame that are still worked on (about half a gigabyte)."""
 
+FEW_POINTS = 300
+"""Points of a frame whose spanning forest costs more by calls than by edges."""
+
 FEWEST_CELLS = 2
 """Cells of the smallest obstacle that counts by its returns: one cell alone may be a flaw of the sensor's."""
 
@@ -192,7 +195,7 @@ def _spanning_forest(points_m: FloatArray, min_samples: int, max_gap_m: float) -
 
     Kruskal's order in two steps: the forest of the short edges first, whose components then leave
     out nearly all of the long ones, since an edge within a component that shorter edges already
-    connect is never needed.
+    connect is never needed. Few points are joined in one step.
     """
     from scipy.sparse import coo_array, csr_array
     from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
@@ -201,12 +204,13 @@ def _spanning_forest(points_m: FloatArray, min_samples: int, max_gap_m: float) -
     n = len(points_m)
     tree = cKDTree(points_m)
     core = tree.query(points_m, k=[min_samples])[0][:, 0]
-    component = np.arange(n)
     kept = coo_array((n, n))
-    for reach_m in (max_gap_m / 3, max_gap_m):
+    for reach_m in (max_gap_m / 3, max_gap_m) if n > FEW_POINTS else (max_gap_m,):
         first, second = _pairs_within(tree, reach_m)
-        apart = component[first] != component[second]
-        first, second = first[apart], second[apart]
+        if kept.nnz:
+            _, component = connected_components(kept, directed=False)
+            apart = component[first] != component[second]
+            first, second = first[apart], second[apart]
         weight = np.maximum(core[first], core[second])
         weight = np.maximum(weight, np.maximum(_distance(points_m, first, second), SMALLEST_DISTANCE_M))
         near = weight <= reach_m
@@ -214,7 +218,6 @@ def _spanning_forest(points_m: FloatArray, min_samples: int, max_gap_m: float) -
         rows, columns = np.concatenate([kept.row, first[near]]), np.concatenate([kept.col, second[near]])
         ends = (rows.astype(np.int32), columns.astype(np.int32))  # older scipy takes no wider ones
         kept = minimum_spanning_tree(csr_array((data, ends), shape=(n, n))).tocoo()
-        _, component = connected_components(kept, directed=False)
     first, second, weight = kept.row, kept.col, kept.data
     order = np.lexsort((second, first, weight))
     return first[order], second[order], weight[order]

@@ -138,15 +138,14 @@ def _normal_equations(
     """Least squares u a + v b + c = target in each group, (n,) each: solutions (g, 3), and which are determined."""
     products: FloatArray = np.stack([u * u, u * v, u, v * v, v, u * target, v * target, target])
     means: FloatArray = np.add.reduceat(products, start, axis=1) / np.diff(np.append(start, len(u)))
-    finite: BoolArray = np.isfinite(means).all(axis=0)
+    finite = np.asarray(np.isfinite(means).all(axis=0))
     sums = np.ones((len(start), 9))
     sums[:, :8] = means[[0, 1, 2, 1, 3, 4, 2, 4]].T
     matrix: FloatArray = np.where(finite[:, None], sums, np.eye(3).ravel()).reshape(-1, 3, 3)
     solvable: BoolArray = finite & (np.abs(np.linalg.det(matrix)) > 1e-9)
     matrix = np.where(solvable[:, None, None], matrix, np.eye(3))
     right = np.where(solvable[:, None], means[5:].T, 0.0)
-    solution: FloatArray = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
-    return solution, solvable
+    return np.asarray(np.linalg.solve(matrix, right[:, :, None])[:, :, 0], dtype=np.float64), solvable
 
 
 def _arc(angle_rad: FloatArray, owner: IntArray, g: int) -> FloatArray:
