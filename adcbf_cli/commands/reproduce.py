@@ -50,13 +50,15 @@ def reproduce(
     from adcbf_cli.commands.terminal import print_json
     from adcbf_cli.core.errors import AdcbfError
     from adcbf_cli.core.reproduction import load_part
-    from adcbf_cli.io.reproduction_files import open_folder
+    from adcbf_cli.io.reproduction_files import check_folder
+    from adcbf_cli.io.run_folder import RunFolder
 
     names, numbers = _chosen(parts), parse_seeds(seeds)
-    open_folder(output)
-    made = [_make(load_part(name), output, numbers, jobs) for name in names]
-    if ALL in parts:
-        _write_readme(output, made)
+    check_folder(output)
+    with RunFolder(output).locked():
+        made = [_make(load_part(name), output, numbers, jobs) for name in names]
+        if ALL in parts:
+            _write_readme(output, made)
     if json_output:
         print_json({"folder": str(output), "parts": {one.part.name: _in_brief(one) for one in made}})
     else:

@@ -15,7 +15,7 @@ from typing import Any
 
 import adcbf_cli
 from adcbf_cli.core.errors import UsageError
-from adcbf_cli.io.atomic import remove_leftovers, write_text_atomically
+from adcbf_cli.io.atomic import write_text_atomically
 from adcbf_cli.io.run_folder import code_version
 
 SCHEMA_VERSION = 1
@@ -28,7 +28,7 @@ def content_key(*parts: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def open_folder(path: Path) -> None:
+def check_folder(path: Path) -> None:
     """Makes the folder where it is missing. UsageError where nothing can be written to it."""
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -38,7 +38,6 @@ def open_folder(path: Path) -> None:
         raise UsageError(f"{path}: may not be made here; choose another with -o") from None
     if not os.access(path, os.W_OK | os.X_OK):
         raise UsageError(f"{path}: may not be written to; choose another with -o")
-    remove_leftovers(path)
 
 
 class PartFiles:

@@ -16,6 +16,7 @@ from adcbf_cli.commands import reproduce as command
 from adcbf_cli.core import reproduction
 from adcbf_cli.core.errors import AdcbfError, UsageError
 from adcbf_cli.core.reproduction.part import Part
+from adcbf_cli.io.run_folder import RunFolder
 
 SEEDS = "100000:100002"
 
@@ -28,8 +29,10 @@ def run(*arguments: str | Path) -> Result:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Every file below the folder but the locks and the rows, which come in the order of finishing."""
-    return {path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.is_file()}
+    """The folder's own files but the lock; the rows below it are in the order in which runs finished."""
+    return {
+        path.name: path.read_bytes() for path in sorted(folder.iterdir()) if path.is_file() and path.name != ".lock"
+    }
 
 
 @pytest.fixture(scope="module")
@@ -54,12 +57,12 @@ def test_more_processes_give_the_same_bytes(made: Path, tmp_path: Path):
 
 
 def test_what_is_finished_is_left_alone(made: Path):
-    before = {path: path.stat().st_mtime_ns for path in made.iterdir() if path.is_file()}
+    before = {path: path.stat().st_mtime_ns for path in made.iterdir() if path.suffix}
     result = run("fig2", "-o", made, "--seeds", SEEDS)
     assert result.exit_code == 0
     assert "fig2: finished already" in result.stderr
     assert result.stdout == (made / "fig2.md").read_text(encoding="utf-8")
-    assert {path: path.stat().st_mtime_ns for path in made.iterdir() if path.is_file()} == before
+    assert {path: path.stat().st_mtime_ns for path in made.iterdir() if path.suffix} == before
 
 
 @pytest.mark.parametrize("damage", ["removed", "changed"])
@@ -122,6 +125,14 @@ def test_a_folder_that_is_none(tmp_path: Path):
         assert isinstance(result.exception, UsageError)
         assert "not a folder" in str(result.exception)
     assert (tmp_path / "file").read_text(encoding="utf-8") == "mine"
+
+
+def test_two_at_once_do_not_share_a_folder(tmp_path: Path):
+    with RunFolder(tmp_path).locked():
+        result = run("fig4", "-o", tmp_path)
+    assert isinstance(result.exception, AdcbfError)
+    assert "another adcbf is writing here" in str(result.exception)
+    assert contents(tmp_path) == {}
 
 
 def fail_at_two(seed: int) -> dict[str, Any]:

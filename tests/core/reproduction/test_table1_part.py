@@ -48,6 +48,7 @@ def test_the_text_shows_the_papers_value_beside_ours():
     line = next(line for line in text.splitlines() if line.startswith("| tracking, x"))
     assert [cell.strip() for cell in line.split("|")[2:4]] == ["0.015", "2.0000 ± 12.7062"]
     assert "seeds 1, 3 (n = 2)" in text
+    assert "0 of the paper's four figures are above" in text
     missing = next(line for line in text.splitlines() if line.startswith("| prediction, step 30, x"))
     assert missing.split("|")[3].strip() == "-"
 
