@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, TypeVar
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from adcbf_cli.core.errors import UsageError
 from adcbf_cli.core.simulation.drawing import Drawing, Place, dotted
@@ -47,6 +47,7 @@ TIME_STEP_S = 0.1
 MAX_TIMES = 2000
 
 _THING: dict[str, TypeAdapter[Static | Moving]] = {"objects": TypeAdapter(StaticObject), "movers": TypeAdapter(Mover)}
+_SEED: TypeAdapter[int] = TypeAdapter(Annotated[int, Field(ge=0)])
 _POINT: TypeAdapter[Point2] = TypeAdapter(Point2)
 
 
@@ -60,21 +61,20 @@ class DrawnScene(NamedTuple):
 
 def draw_scene(data: dict[str, Any]) -> DrawnScene:
     """The scene that a scenario file describes for its `seed`. Raises UsageError naming the place."""
-    seed = data.get("seed", 0)
-    if type(seed) is not int or seed < 0:
+    try:
+        drawing = Drawing(_SEED.validate_python(data.get("seed", 0)))
+    except ValidationError:
         return DrawnScene(data, {})
-    drawing = Drawing(seed)
     lists = {key: data[key] for key in ("objects", "movers") if isinstance(data.get(key), list)}
     out = {key: drawing.value(node, (key,)) for key, node in data.items() if key not in lists}
-    surroundings = _surroundings(out)
-    entries: dict[Place, Place] = {}
-    for name, nodes in lists.items():
-        listed = list(_entries(nodes, name, drawing))
-        entries.update({(name, index): entry.place for index, entry in enumerate(listed)})
-        fixed_first = sorted(range(len(listed)), key=lambda index: listed[index].varies)
-        placed = {index: _placed(listed[index], drawing, surroundings) for index in fixed_first}
-        out[name] = [placed[index] for index in range(len(listed))]
-    return DrawnScene(out, entries)
+    around = _surroundings(out)
+    listed = {name: list(_entries(nodes, name, drawing)) for name, nodes in lists.items()}
+    numbered = {(name, index): entry for name, entries in listed.items() for index, entry in enumerate(entries)}
+    fixed_first = sorted(numbered, key=lambda number: numbered[number].varies)
+    placed = {number: _placed(numbered[number], drawing, around) for number in fixed_first}
+    for name, entries in listed.items():
+        out[name] = [placed[name, index] for index in range(len(entries))]
+    return DrawnScene(out, {number: entry.place for number, entry in numbered.items()})
 
 
 class _Entry(NamedTuple):
@@ -132,10 +132,12 @@ class _Surroundings:
         return placed
 
     def _stands_free(self, shape: Footprint) -> bool:
-        """Away from start and goal, and with room to pass between it and all others."""
+        """Away from start and goal, with room to pass between it and all others, and in nobody's way."""
         ends = [end for end in (self.start_m, self.goal_m) if end is not None]
-        return all(shape.distance_m(end[None])[0] >= self.keep_free_m for end in ends) and (
-            self.passage_m == 0 or all(shape.leaves(self.passage_m, other) for other in self.standing)
+        return (
+            all(shape.distance_m(end[None])[0] >= self.keep_free_m for end in ends)
+            and (self.passage_m == 0 or all(shape.leaves(self.passage_m, other) for other in self.standing))
+            and all(shape.distance_m(track).min() >= radius for track, radius in self.moving)
         )
 
     def _walks_free(self, track_m: FloatArray, radius_m: float) -> bool:

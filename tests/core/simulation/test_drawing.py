@@ -236,6 +236,17 @@ def test_what_is_random_goes_around_what_is_not_wherever_that_is_listed():
         assert abs(drawn.at_m[0] - 5) >= 1.4
 
 
+def test_a_random_object_stands_in_no_fixed_movers_way():
+    mover = (
+        "movers: [{kind: cylinder, radius_m: 0.3, path: {kind: line, from_m: [5, -5], to_m: [5, 5], speed_mps: 1}}]\n"
+    )
+    for seed in SEEDS:
+        text = STRAIGHT + mover + "objects: [{kind: tree, at_m: [{uniform: [4, 6]}, 2], trunk_radius_m: 0.2}]"
+        (tree,) = parse_scenario(text, seed=seed).objects
+        assert isinstance(tree, Tree)
+        assert abs(tree.at_m[0] - 5) >= 0.49
+
+
 def test_nothing_random_starts_at_a_scripted_ego():
     ego = "duration_s: 1\nego: {path: {kind: line, from_m: [1, 1], to_m: [5, 1], speed_mps: 1}}\n" + LIDAR
     for seed in SEEDS:
