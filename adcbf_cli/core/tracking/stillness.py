@@ -96,32 +96,34 @@ class Slope:
 
 def fit_slopes(sightings: Sightings, now_s: float, window_s: float) -> Slope:
     """Least-squares lines through each track's sightings within `window_s` before `now_s`."""
+    return _fit(sightings, now_s, np.array([window_s]))[0]
+
+
+def _fit(sightings: Sightings, now_s: float, windows_s: FloatArray) -> list[Slope]:
+    """`fit_slopes` for each of w windows; all together, since few tracks cost calls rather than numbers."""
     age = now_s - sightings.time_s
-    used = age <= window_s * (1 + 1e-9)
+    used = age <= windows_s[:, None, None] * (1 + 1e-9)
     weight = used.astype(np.float64)
-    count = weight.sum(axis=1)
+    count = weight.sum(axis=-1)
     safe_count = np.maximum(count, 1.0)
     time = np.where(used, -age, 0.0)
-    time = np.where(used, time - (time.sum(axis=1) / safe_count)[:, None], 0.0)
-    mean = (weight[:, :, None] * sightings.position_m).sum(axis=1) / safe_count[:, None]
-    centred = weight[:, :, None] * (sightings.position_m - mean[:, None, :])
-    moment = np.maximum((time**2).sum(axis=1), 1e-12)
-    velocity = (time[:, :, None] * centred).sum(axis=1) / moment[:, None]
-    residual = centred - time[:, :, None] * velocity[:, None, :]
-    variance = (residual**2).sum(axis=(1, 2)) / np.maximum(2 * (count - 2), 1.0)
-    first = np.where(used, age, -np.inf).argmax(axis=1)
-    last = np.where(used, age, np.inf).argmin(axis=1)
-    rows = np.arange(len(count))
-    span = np.where(count > 0, time[rows, last] - time[rows, first], 0.0)
+    time = np.where(used, time - (time.sum(axis=-1) / safe_count)[..., None], 0.0)
+    mean = (weight[..., None] * sightings.position_m).sum(axis=-2) / safe_count[..., None]
+    centred = weight[..., None] * (sightings.position_m - mean[..., None, :])
+    moment = np.maximum((time**2).sum(axis=-1), 1e-12)
+    velocity = (time[..., None] * centred).sum(axis=-2) / moment[..., None]
+    residual = centred - time[..., None] * velocity[..., None, :]
+    variance = (residual**2).sum(axis=(-2, -1)) / np.maximum(2 * (count - 2), 1.0)
+    first = np.where(used, age, -np.inf).argmax(axis=-1)
+    last = np.where(used, age, np.inf).argmin(axis=-1)
+    rows = np.arange(len(age))
+    ends = np.take_along_axis(time, np.stack([first, last], axis=-1), axis=-1)
+    span = np.where(count > 0, ends[..., 1] - ends[..., 0], 0.0)
     carried = sightings.sensor_m[rows, last] - sightings.sensor_m[rows, first]
-    return Slope(
-        velocity_mps=velocity,
-        standard_error_mps=np.sqrt(variance / moment),
-        span_s=span,
-        count=count,
-        turn_rad=_viewpoint_turn(sightings, rows, first, last),
-        sensor_velocity_mps=carried / np.maximum(span, 1e-9)[:, None],
-    )
+    error = np.sqrt(variance / moment)
+    turn = _viewpoint_turn(sightings, rows, first, last)
+    sensor_velocity = carried / np.maximum(span, 1e-9)[..., None]
+    return [Slope(*each) for each in zip(velocity, error, span, count, turn, sensor_velocity, strict=True)]
 
 
 def still(
@@ -129,8 +131,7 @@ def still(
 ) -> BoolArray:
     """(n,) which tracks stand still now, given which did a frame ago."""
     least = config.static_speed_mps
-    whole = fit_slopes(sightings, now_s, config.static_window_s)
-    recent = fit_slopes(sightings, now_s, RECENT_SHARE * config.static_window_s)
+    whole, recent = _fit(sightings, now_s, np.array([1.0, RECENT_SHARE]) * config.static_window_s)
     known = (whole.count >= MIN_SIGHTINGS) & (whole.span_s >= SHORTEST_SHARE * config.static_window_s)
     drift = common_drift(whole, known)
     speed = np.linalg.norm(whole.velocity_mps - drift, axis=1)
@@ -170,8 +171,8 @@ def _viewpoint_turn(sightings: Sightings, rows: IntArray, first: IntArray, last:
     """How far the line of sight turned, plus the relative change of range, between two sightings."""
     start = sightings.position_m[rows, first] - sightings.sensor_m[rows, first]
     end = sightings.position_m[rows, last] - sightings.sensor_m[rows, last]
-    bearing = np.arctan2(end[:, 1], end[:, 0]) - np.arctan2(start[:, 1], start[:, 0])
-    near = np.maximum(np.hypot(start[:, 0], start[:, 1]), 0.1)
-    far = np.maximum(np.hypot(end[:, 0], end[:, 1]), 0.1)
+    bearing = np.arctan2(end[..., 1], end[..., 0]) - np.arctan2(start[..., 1], start[..., 0])
+    near = np.maximum(np.hypot(start[..., 0], start[..., 1]), 0.1)
+    far = np.maximum(np.hypot(end[..., 0], end[..., 1]), 0.1)
     turn: FloatArray = np.abs(wrap_angle(bearing)) + np.abs(np.log(far / near))
     return np.minimum(turn, 2.0)
