@@ -9,7 +9,7 @@ import importlib
 
 from adcbf_cli.core.reproduction.part import Part
 
-PARTS = ("table1", "fig2", "fig3", "fig4", "table2", "fig6")
+PARTS = ("table1", "fig2", "fig3", "fig4", "table2", "fig6", "ablations")
 """In the order in which `all` runs them and joins their texts."""
 
 
