@@ -244,7 +244,11 @@ class PlanningConfig(StageConfig):
     )
     min_iterations: Annotated[int, Field(ge=1)] = 5
     max_iterations: Annotated[int, Field(ge=1, le=1000)] = Field(10, description="SQP iterations a start.")
-    starts: Annotated[int, Field(ge=1, le=2)] = Field(2, description="1: shifted plan; 2: also the reference.")
+    starts: Annotated[int, Field(ge=1, le=5)] = Field(
+        3,
+        description="1: shifted plan; 2: also the reference; n above: also the n - 1 best of sampled ways, where those "
+        "violate a barrier or stand.",
+    )
     max_obstacles: Annotated[int, Field(ge=1, le=32)] = Field(
         16, description="The nearest this many enter the problem; the rest are counted."
     )

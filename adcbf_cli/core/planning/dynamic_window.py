@@ -58,7 +58,7 @@ class DynamicWindow:
         steps, step_s = planning.steps, planning.step_s
         reference = pursuit.horizon(vehicle, path, along_m, situation.pose, steps, step_s)
         arcs = self._arcs(situation.inputs)
-        poses = roll_outs(vehicle, situation.pose, arcs, step_s)
+        poses = vehicle.roll_outs(situation.pose, arcs, step_s)
         spare = self._spare_m(situation, poses)
         clear = np.asarray((spare >= -TOUCH_M).all(axis=1))
         for i in np.argsort(self._costs(reference, arcs, poses, spare), kind="stable"):
@@ -116,20 +116,6 @@ class DynamicWindow:
         surface = surface_m(poses, _extended(seen, len(poses), step_s), seen.radius_m, vehicle.body_radius_m)
         required = required_m(surface[:, 0], self._planning.safety_distance_m)
         return bool((surface >= required[:, None]).all())
-
-
-def roll_outs(vehicle: Vehicle, pose: FloatArray, inputs: FloatArray, step_s: float) -> FloatArray:
-    """(arcs, N + 1, 3) as `Vehicle.roll_out`, for inputs (arcs, N, 2) from one pose."""
-    half = 0.5 * step_s * vehicle.yaw_rate(inputs)
-    chord = inputs[..., 0] * step_s * np.sinc(half / np.pi)
-    poses = np.empty((inputs.shape[0], inputs.shape[1] + 1, 3))
-    poses[:, 0] = pose
-    poses[:, 1:, 2] = 2 * half
-    np.cumsum(poses[..., 2], axis=1, out=poses[..., 2])
-    direction = poses[:, :-1, 2] + half
-    poses[:, 1:, 0], poses[:, 1:, 1] = chord * np.cos(direction), chord * np.sin(direction)
-    np.cumsum(poses[..., :2], axis=1, out=poses[..., :2])
-    return poses
 
 
 def _extended(seen: Obstacles, stages: int, step_s: float) -> FloatArray:

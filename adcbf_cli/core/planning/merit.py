@@ -50,35 +50,48 @@ def barrier_rows(problem: Problem, instance: Instance, inputs: FloatArray) -> Ro
 def merit(problem: Problem, instance: Instance, inputs: FloatArray) -> float:
     """What `inputs` (N, 2) are worth, less being better; not finite where they are not."""
     poses = problem.vehicle.roll_out(instance.pose, inputs, problem.step_s)
+    return float(_worth(problem, instance, inputs, poses))
+
+
+def merits(problem: Problem, instance: Instance, inputs: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Poses (K, N + 1, 3) and `merit` (K,) of K inputs (K, N, 2) at once."""
+    poses = problem.vehicle.roll_outs(instance.pose, inputs, problem.step_s)
+    return poses, _worth(problem, instance, inputs, poses)
+
+
+def _worth(problem: Problem, instance: Instance, inputs: FloatArray, poses: FloatArray) -> FloatArray:
+    """(...,) merit of inputs (..., N, 2) that lead to poses (..., N + 1, 3)."""
     total = tracking_cost(problem, instance, inputs, poses)
     if len(instance):
         rows = rows_along(problem, instance, poses)
-        total += problem.slack_weight * float(rows.slack_m2.sum())
+        total = total + problem.slack_weight * rows.slack_m2.sum(axis=(-2, -1))
         if problem.barrier.decay_weight is not None:
-            total += problem.barrier.decay_weight * float(((rows.decay - 1.0) ** 2).sum())
+            total = total + problem.barrier.decay_weight * ((rows.decay - 1.0) ** 2).sum(axis=(-2, -1))
     return total
 
 
-def tracking_cost(problem: Problem, instance: Instance, inputs: FloatArray, poses: FloatArray) -> float:
-    """The cost of `Weights` for inputs (N, 2) and the poses (N + 1, 3) that they lead to."""
+def tracking_cost(problem: Problem, instance: Instance, inputs: FloatArray, poses: FloatArray) -> FloatArray:
+    """(...,) the cost of `Weights` for inputs (..., N, 2) and the poses (..., N + 1, 3) that they lead to."""
     weights, reference = problem.weights, instance.reference
     stage = np.ones(problem.steps)
     stage[-1] = weights.terminal
-    off = poses[1:] - reference[1:, :3]
-    cost = weights.position * (stage * (off[:, 0] ** 2 + off[:, 1] ** 2)).sum()
-    cost += weights.heading * (stage * off[:, 2] ** 2).sum()
-    cost += np.array([weights.speed, weights.turn]) @ ((inputs - reference[1:, 3:]) ** 2).sum(axis=0)
+    off = poses[..., 1:, :] - reference[1:, :3]
+    cost = weights.position * (stage * (off[..., 0] ** 2 + off[..., 1] ** 2)).sum(axis=-1)
+    cost = cost + weights.heading * (stage * off[..., 2] ** 2).sum(axis=-1)
+    cost = cost + ((inputs - reference[1:, 3:]) ** 2).sum(axis=-2) @ np.array([weights.speed, weights.turn])
     duration_s = np.full(problem.steps, problem.step_s)
     duration_s[0] = problem.first_step_s
-    change = np.diff(inputs, axis=0, prepend=instance.last_inputs[None]) / duration_s[:, None]
-    cost += np.array([weights.accel, weights.turn_accel]) @ (change**2).sum(axis=0)
-    return 0.5 * float(cost)
+    before = np.broadcast_to(instance.last_inputs, (*inputs.shape[:-2], 1, 2))
+    change = np.diff(inputs, axis=-2, prepend=before) / duration_s[:, None]
+    cost = cost + (change**2).sum(axis=-2) @ np.array([weights.accel, weights.turn_accel])
+    return np.asarray(0.5 * cost)
 
 
 def rows_along(problem: Problem, instance: Instance, poses: FloatArray) -> Rows:
-    """`barrier_rows` where the poses (N + 1, 3) that the inputs lead to are known already."""
+    """`barrier_rows` where the poses (..., N + 1, 3) that the inputs lead to are known already; every array of the
+    answer has the same leading dimensions."""
     barrier = problem.barrier
-    off = poses[:, None, :2] - instance.obstacle_m.transpose(1, 0, 2)
+    off = poses[..., :, None, :2] - instance.obstacle_m.transpose(1, 0, 2)
     squared = (off**2).sum(axis=-1)
     height = squared - instance.keep_out_m.T**2
     if barrier.frozen:
@@ -86,12 +99,13 @@ def rows_along(problem: Problem, instance: Instance, poses: FloatArray) -> Rows:
             raise ValueError("this barrier is frozen: the instance must bring its gamma")
         gamma = instance.gamma.T
     else:
-        gamma = gamma_at(barrier.gamma, np.sqrt(squared[:-1]), instance.obstacle_radius_m)
-    floor = height[:-1] - gamma if barrier.form == "printed" else (1.0 - gamma) * height[:-1]
-    decay = cheapest_decay(height[1:], floor, barrier.decay_weight, problem.slack_weight)
-    residual = height[1:] - floor
-    slack = np.maximum(decay * floor - height[1:], 0.0)
-    rowless = slice(barrier_stages(problem), None)
+        gamma = gamma_at(barrier.gamma, np.sqrt(squared[..., :-1, :]), instance.obstacle_radius_m)
+    held = height[..., :-1, :]
+    floor = held - gamma if barrier.form == "printed" else (1.0 - gamma) * held
+    decay = cheapest_decay(height[..., 1:, :], floor, barrier.decay_weight, problem.slack_weight)
+    residual = height[..., 1:, :] - floor
+    slack = np.maximum(decay * floor - height[..., 1:, :], 0.0)
+    rowless = (..., slice(barrier_stages(problem), None), slice(None))
     residual[rowless], decay[rowless], slack[rowless] = np.inf, 1.0, 0.0
     return Rows(height, gamma, residual, decay, slack)
 

@@ -5,6 +5,7 @@ Which planner it is (gamma, decay, held or predicted obstacles) is data, in `pre
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,12 +14,16 @@ from adcbf_cli.core.config import PlanningConfig
 from adcbf_cli.core.planning import fallback, pursuit, starts
 from adcbf_cli.core.planning.barrier import Barrier, gamma_at
 from adcbf_cli.core.planning.columns import Columns, ObstacleSet, can_bind, columns_of, nearest
-from adcbf_cli.core.planning.merit import merit, rows_along
+from adcbf_cli.core.planning.merit import barrier_rows, merit, rows_along
 from adcbf_cli.core.planning.planner import Details, Outcome, Plan, Situation
 from adcbf_cli.core.planning.problem import Instance, Problem, Solution, SolverStatus, Weights
+from adcbf_cli.core.planning.sampled import sampled_starts
 from adcbf_cli.core.planning.solvers.base import make_solver
 from adcbf_cli.core.types import FloatArray, Notes
 from adcbf_cli.core.vehicles.vehicle import Vehicle
+
+STUCK_SHARE = 0.3
+"""A plan whose mean speed is below this share of the reference's looks for another way."""
 
 FEASIBLE_M2 = 1e-6
 """A smaller barrier violation is the solver's tolerance."""
@@ -141,13 +146,32 @@ class MpcPlanner:
 
     def _solve(self, scene: _Scene) -> tuple[str, Solution | None]:
         """The best usable solution of all starts, and which start it came from; None where there is none."""
-        best: tuple[str, Solution | None] = ("", None)
-        for start, guess in scene.guesses.items():
+        best = self._better(scene, ("", None), scene.guesses.items())
+        if self._planning.starts > 2 and self._stuck(scene, best[1]):
+            sampled = sampled_starts(self._problem, scene.instance, self._planning.starts - 1)
+            best = self._better(scene, best, (("sampled", guess) for guess in sampled))
+        return best
+
+    def _better(
+        self, scene: _Scene, best: tuple[str, Solution | None], guesses: Iterable[tuple[str, FloatArray]]
+    ) -> tuple[str, Solution | None]:
+        """The best of what there is already and what these guesses lead to."""
+        for start, guess in guesses:
             found = self._solver.solve(scene.instance, guess)
             usable = found.status is not SolverStatus.FAILED and bool(np.isfinite(found.inputs).all())
             if usable and np.isfinite(found.merit) and (best[1] is None or found.merit < best[1].merit):
                 best = (start, found)
         return best
+
+    def _stuck(self, scene: _Scene, solution: Solution | None) -> bool:
+        """Whether there is no plan, or one that violates a barrier, or one that hardly moves where it should."""
+        if solution is None:
+            return True
+        rows = barrier_rows(self._problem, scene.instance, solution.inputs)
+        if float(rows.slack_m2.max(initial=0.0)) > FEASIBLE_M2:
+            return True
+        wanted, planned = float(scene.instance.reference[:, 3].mean()), float(np.abs(solution.inputs[:, 0]).mean())
+        return planned < STUCK_SHARE * wanted
 
     def _guarded(self, inputs: FloatArray, last: FloatArray) -> FloatArray:
         """The solver's inputs within the vehicle's limits: they are already, and it is counted if not."""

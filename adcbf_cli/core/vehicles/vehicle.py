@@ -84,6 +84,19 @@ class Vehicle:
         poses[:, 2] = yaw
         return poses
 
+    def roll_outs(self, pose: FloatArray, inputs: FloatArray, step_s: float) -> FloatArray:
+        """(K, N + 1, 3) as `roll_out`, for K inputs (K, N, 2) from one pose (3,)."""
+        half = 0.5 * step_s * self.yaw_rate(inputs)
+        chord = inputs[..., 0] * step_s * np.sinc(half / np.pi)
+        poses = np.empty((inputs.shape[0], inputs.shape[1] + 1, 3))
+        poses[:, 0] = pose
+        poses[:, 1:, 2] = 2 * half
+        np.cumsum(poses[..., 2], axis=1, out=poses[..., 2])
+        direction = poses[:, :-1, 2] + half
+        poses[:, 1:, 0], poses[:, 1:, 1] = chord * np.cos(direction), chord * np.sin(direction)
+        np.cumsum(poses[..., :2], axis=1, out=poses[..., :2])
+        return poses
+
     def limited(self, wanted: FloatArray, last: FloatArray, period_s: float) -> FloatArray:
         """The inputs (2,) nearest to `wanted` that are in bounds and can be reached from `last` in `period_s`.
 

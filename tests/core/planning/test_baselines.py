@@ -132,7 +132,7 @@ def test_the_window_s_roll_outs_are_the_vehicle_s() -> None:
     inputs = np.random.default_rng(4).uniform(-1, 1, (5, 30, 2))
     pose = np.array([1.0, -2.0, 0.7])
     for vehicle in (UNICYCLE, ACKERMANN):
-        got = dynamic_window.roll_outs(vehicle, pose, inputs, 0.1)
+        got = vehicle.roll_outs(pose, inputs, 0.1)
         for arc, poses in zip(inputs, got, strict=True):
             np.testing.assert_allclose(poses, vehicle.roll_out(pose, arc, 0.1), atol=1e-12)
 

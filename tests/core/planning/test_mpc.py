@@ -195,7 +195,7 @@ def test_the_lower_merit_wins_and_failures_do_not() -> None:
 
 def test_frozen_gamma_comes_from_the_previous_plan() -> None:
     disc: Discs = [(2.0, 0.9, 0.0, 0.0, 0.5)]
-    made, solver = told(constant(0.7), gamma_at="previous")
+    made, solver = told(constant(0.7), gamma_at="previous", starts=2)
     made.plan(situation(disc))
     made.plan(situation(disc, stamp_ns=33_333_333, inputs=(0.7, 0.0)))
     poses = VEHICLE.roll_out(np.zeros(3), solver.guesses[1], 0.1)
