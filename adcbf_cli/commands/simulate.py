@@ -8,15 +8,27 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from adcbf_cli.commands.closed_loop import ClosedLoop, run_closed_loop
+from adcbf_cli.commands.options import shared_options
+
 if TYPE_CHECKING:
     pass
 
 
+@shared_options
 def simulate(
-    scenario: Annotated[Path, typer.Argument(help="Scenario file (YAML), see docs/scenarios.md.", show_default=False)],
+    scenario: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENARIO", help="Scenario file (YAML), or one that comes along by name.", show_default=False
+        ),
+    ],
+    options: ClosedLoop,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="OUT.mcap", help="Log; default: <scenario's stem>.mcap here."),
+        typer.Option(
+            "--output", "-o", metavar="OUT", help="Log, default <stem>.mcap; closed loop: folder, <stem>.runs."
+        ),
     ] = None,
     seed: Annotated[int | None, typer.Option("--seed", min=0, help="Instead of the scenario's own seed.")] = None,
     truth: Annotated[
@@ -24,27 +36,47 @@ def simulate(
     ] = None,
     json_output: Annotated[bool, typer.Option("--json", help="Print one JSON document instead of a table.")] = False,
 ) -> None:
-    """Write a simulated log with ground truth.
+    """Write a simulated log with ground truth, or let planners drive through its world.
 
-    LiDAR by ray casting, odometry and tf, in a world that a scenario file describes.
+    LiDAR by ray casting, odometry and tf, in a world that a scenario file describes. The same scenario and seed give
+    the same bytes.
 
-    The same scenario and seed give the same bytes.
+    With --closed-loop the ego drives itself along the scenario's route: each scan is cast from where it is, and
+    clustered, tracked and predicted as a log's would be; planners plan with that at 30 Hz. One row a run goes to
+    `runs.parquet`, rates with intervals to `report.md`, collisions to logs of their own that `adcbf replay` takes.
+    The same command goes on where it was stopped.
+
+    Scenarios that come along: `unstructured` (the paper's world), `crossings` (short random scenes).
 
     Examples:
 
         adcbf simulate sample_data/scenario.yaml -o sample.mcap --truth truth.csv
 
-        adcbf simulate crossing.yaml --seed 7
+        adcbf simulate crossings --seed 7
+
+        adcbf simulate unstructured --closed-loop -p all --record all
+
+        adcbf simulate crossings --closed-loop --seeds 0:1000 --jobs 8
     """
     from adcbf_cli.commands.terminal import print_json, print_table, progress
+    from adcbf_cli.core.errors import UsageError
     from adcbf_cli.core.simulation.parsing import parse_scenario
     from adcbf_cli.core.simulation.simulator import Simulator
     from adcbf_cli.io.atomic import atomic_path
+    from adcbf_cli.io.scenarios import read_scenario
     from adcbf_cli.io.simulation_log import write_log, write_scan_truth
 
-    simulator = Simulator(parse_scenario(_read(scenario), scenario.name), seed)
-    log = output if output is not None else Path(f"{scenario.stem}.mcap")
-    _check_targets(scenario, log, truth)
+    text, stem = read_scenario(scenario)
+    if options.closed_loop:
+        if truth is not None:
+            raise UsageError("--truth goes with a scripted log; --record all writes each run's log with its truth")
+        run_closed_loop(text, stem, options, seed, output, json_output)
+        return
+    if options.stray():
+        raise UsageError(f"{options.stray()[0]} needs --closed-loop")
+    simulator = Simulator(parse_scenario(text, stem, seed), seed)
+    log = output if output is not None else Path(f"{stem}.mcap")
+    _check_targets(Path(scenario), log, truth)
     scans = progress(simulator, simulator.scans, "simulate")
     with ExitStack() as together:
         if truth is not None:  # renamed after the log is, so that the two are never long of different runs
@@ -65,22 +97,6 @@ def simulate(
         print_table(
             "Simulated", ("what", "value"), [(key, str(value)) for key, value in summary.items() if value is not None]
         )
-
-
-def _read(path: Path) -> str:
-    """The scenario's text; raises UsageError where there is none."""
-    from adcbf_cli.core.errors import UsageError
-    from adcbf_cli.core.simulation.parsing import MAX_SCENARIO_CHARACTERS
-
-    try:
-        with path.open(encoding="utf-8") as stream:
-            return stream.read(MAX_SCENARIO_CHARACTERS + 1)
-    except FileNotFoundError as error:
-        raise UsageError(f"{path}: no such scenario file") from error
-    except UnicodeDecodeError as error:
-        raise UsageError(f"{path}: not a text file; a scenario is YAML") from error
-    except OSError as error:
-        raise UsageError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def _check_targets(scenario: Path, log: Path, truth: Path | None) -> None:
