@@ -55,7 +55,7 @@ class Stretch:
         offset = pose[:, None, :2] - self.place_m[:, 0]
         roaming = np.hypot(*np.moveaxis(self.place_m - self.place_m[:, :1], -1, 0)).max(axis=1, initial=0.0)
         size = np.hypot(self.half_m[:, 0], self.half_m[:, 1]) + self.round_m
-        # Twice the margin: what is farther has no say in a state's clearance.
+        # Twice: what comes within reach of the states that they lead to has a say in these' clearance.
         return np.asarray(np.hypot(offset[..., 0], offset[..., 1]) <= size + roaming + body_radius_m + 2 * reach_m)
 
     def first_touch(
@@ -63,7 +63,8 @@ class Stretch:
     ) -> tuple[IntArray, FloatArray]:
         """For c drives with poses (c, ticks + 1, 3) under inputs (c, ticks, 2), each with the things that it may
         meet (c, m): the tick from which on the first comes nearer than the margin before the next tick has passed
-        (c,), `ticks` for none; and the clearance at the end (c,), inf where nothing is near."""
+        (c,), `ticks` for none; and the clearance at the end from what was near (c,), inf without: it is right where it
+        is less than the reach that `near` was asked for."""
         drive, thing = np.nonzero(near)
         clear = self._clearance(path[drive, :, :2], thing, None) - vehicle.body_radius_m
         touched = np.full(len(path), self.ticks, dtype=np.int64)
