@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from adcbf_cli.core.replay.escape_world import CHECK_SPACING_M, LocalWorld, Stretch, WayToGoal, way_to_goal
+from adcbf_cli.core.replay.escape_world import CHECK_SPACING_M, KeptWorld, LocalWorld, Stretch, WayToGoal, way_to_goal
 from adcbf_cli.core.replay.records import Drive, Result
 from adcbf_cli.core.replay.world import TrueWorld, WorldObjects
 from adcbf_cli.core.types import BoolArray, FloatArray, IntArray
@@ -131,7 +131,7 @@ def find_escape(
     tick_s: the control period. width: states kept a layer by the widest search; SEARCHES are made one after the
     other until one finds a way.
     """
-    kept = _KeptWorld(world)
+    kept = KeptWorld(world)
     task = _Task(kept, vehicle, np.asarray(pose, dtype=float), np.asarray(inputs, dtype=float), start_ns, tick_s)
     ticks = math.ceil((until_ns - start_ns) / 1e9 / tick_s - 1e-6)
     none = Escape(False, np.zeros((0, 2)), task.pose[None], 0)
@@ -241,22 +241,6 @@ def _moved(start: WorldObjects, end: WorldObjects, tick_s: float) -> float:
     turned = np.abs(np.remainder(end.yaw_rad - start.yaw_rad + np.pi, 2 * np.pi) - np.pi)
     swept = np.hypot(*(end.centre_m - start.centre_m).T) + np.nan_to_num(turned) * start.radius_m
     return max(fastest * tick_s, float(swept.max(initial=0.0)))
-
-
-class _KeptWorld:
-    """A world that keeps every moment it was asked for: searches one after the other ask for the same ones."""
-
-    def __init__(self, world: TrueWorld) -> None:
-        self._world = world
-        self._kept: dict[int, WorldObjects] = {}
-
-    def at(self, stamp_ns: int) -> WorldObjects:
-        if stamp_ns not in self._kept:
-            self._kept[stamp_ns] = self._world.at(stamp_ns)
-        return self._kept[stamp_ns]
-
-    def nearest(self, point_m: FloatArray, body_radius_m: float, stamp_ns: int) -> tuple[float, int]:
-        return self._world.nearest(point_m, body_radius_m, stamp_ns)
 
 
 @dataclass(frozen=True, slots=True)

@@ -117,6 +117,22 @@ def rounded_distance(offset_m: FloatArray, yaw_rad: FloatArray, half_m: FloatArr
     return np.asarray(outside + np.minimum(np.maximum(along, across), 0.0) - round_m)
 
 
+class KeptWorld:
+    """A world that keeps every moment it was asked for: searches one after the other ask for the same ones."""
+
+    def __init__(self, world: TrueWorld) -> None:
+        self._world = world
+        self._kept: dict[int, WorldObjects] = {}
+
+    def at(self, stamp_ns: int) -> WorldObjects:
+        if stamp_ns not in self._kept:
+            self._kept[stamp_ns] = self._world.at(stamp_ns)
+        return self._kept[stamp_ns]
+
+    def nearest(self, point_m: FloatArray, body_radius_m: float, stamp_ns: int) -> tuple[float, int]:
+        return self._world.nearest(point_m, body_radius_m, stamp_ns)
+
+
 class LocalWorld:
     """A world in the frame of a pose (3,), by ticks from a stamp on."""
 
