@@ -92,6 +92,8 @@ class TrackBank:
 
     def keep(self, rows: BoolArray) -> None:
         """Drops all tracks but these."""
+        if rows.all():
+            return
         for field in fields(self):
             value = getattr(self, field.name)
             setattr(self, field.name, value[rows] if isinstance(value, np.ndarray) else value.select(rows))

@@ -87,7 +87,8 @@ def _transition_matrix(derivatives: int, dt: float) -> FloatArray:
 
 def _white_noise(derivatives: int, dt: float, density: FloatArray) -> FloatArray:
     """Continuous white noise of spectral density (3,) on each axis's highest derivative."""
-    return np.asarray(np.kron(_one_axis_noise(derivatives, dt), np.diag(density)), dtype=np.float64)
+    one_axis = _one_axis_noise(derivatives, dt)
+    return (one_axis[:, None, :, None] * np.diag(density)[None, :, None, :]).reshape(3 * derivatives, 3 * derivatives)
 
 
 @lru_cache(maxsize=64)

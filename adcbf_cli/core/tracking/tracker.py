@@ -73,7 +73,8 @@ class Tracker:
             self._predict(bank, kalman, dt)
             taken = self._update(bank, kalman, clusters)
             self._end_and_confirm(bank)
-            bank.append(self._born(kalman, clusters, ~taken))
+            if not taken.all():
+                bank.append(self._born(kalman, clusters, ~taken))
             sensor_m = clusters.world_from_sensor[:2, 3]
             bank.sightings.add(bank.cluster_id != NO_ID, self._now_s, bank.seen_at_m, sensor_m)
             bank.is_static = bank.is_structure | still(
@@ -371,6 +372,8 @@ def select_clusters(clusters: Clusters, rows: BoolArray) -> Clusters:
 def _hold_structures(bank: TrackBank) -> None:
     """Pieces of walls start each step at rest."""
     held = bank.is_structure
+    if not held.any():
+        return
     bank.states[held, :, 3:] = 0.0
     bank.covariances[held, :, 3:, :] = 0.0
     bank.covariances[held, :, :, 3:] = 0.0
