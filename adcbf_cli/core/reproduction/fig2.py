@@ -302,7 +302,9 @@ def _findings(document: Document) -> str:
         verdict = "too few scenes to say"
         if interval is not None:
             verdict = "more" if interval[0] > 0 else "fewer" if interval[1] < 0 else "no difference shown"
-        lines.append(f"- {name}: {100 * difference['mean']:+.1f} {_between(interval, 100, 1)}: {verdict}")
+        lines.append(
+            f"- {name}: {round(100 * difference['mean'], 1) + 0.0:+.1f} {_between(interval, 100, 1)}: {verdict}"
+        )
     return "\n".join(lines)
 
 
