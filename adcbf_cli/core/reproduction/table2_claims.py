@@ -117,7 +117,23 @@ def _printed(claim: Claim, other: str) -> float | None:
     return None if mine is None or others is None else round(mine - others, 4)
 
 
+def in_all(verdicts: Sequence[str]) -> str:
+    """A claim's verdict over all planners that it speaks of: it holds where it holds against each, and does not
+    where it does not against one."""
+    return NOT if NOT in verdicts else HOLDS if verdicts and all(one == HOLDS for one in verdicts) else OPEN
+
+
 def claims_table(judged: Sequence[dict[str, Any]]) -> str:
+    """One row a claim."""
+    rows = []
+    for claim in CLAIMS:
+        verdicts = [one["verdict"] for one in judged if one["claim"] == claim.text]
+        counts = (str(verdicts.count(kind)) for kind in (HOLDS, NOT, OPEN))
+        rows.append((claim.text, f"**{in_all(verdicts)}**", *counts))
+    return table(("claim", "verdict", "planners against which it holds", "does not", "cannot be told"), rows)
+
+
+def comparisons_table(judged: Sequence[dict[str, Any]]) -> str:
     """One row a claim and other planner."""
     head = ("claim", "against", "measure", "claimed", "paper", "here", "pairs", "verdict")
     return table(head, [_row(one) for one in judged])
@@ -144,9 +160,3 @@ def _shown(measure: str) -> tuple[str, int, float]:
     if measure in MEASURES:
         return (*MEASURES[measure], 1.0)
     return f"{measure}, points", 0, 100.0
-
-
-def tally(judged: Sequence[dict[str, Any]]) -> str:
-    """How many comparisons came out how."""
-    counts = {kind: sum(one["verdict"] == kind for one in judged) for kind in (HOLDS, NOT, OPEN)}
-    return ", ".join(f"{count} {kind}" for kind, count in counts.items())

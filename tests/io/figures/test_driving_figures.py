@@ -32,7 +32,7 @@ def scene_document() -> dict[str, Any]:
         {"planner": "ad-cbf-mpc", "result": "success", "path_m": [[0.0, 0.0], [5.0, -0.5], [10.0, 0.0]]},
     ]
     drawn = {"route_m": [[0.0, 0.0], [10.0, 0.0]], "goal_tolerance_m": 0.3, "body_radius_m": 0.3}
-    return {"drawn": {**drawn, "standing": standing, "movers": movers, "ways": ways}}
+    return {"met_by": "ad-cbf-mpc", "drawn": {**drawn, "standing": standing, "movers": movers, "ways": ways}}
 
 
 def speeds_document() -> dict[str, Any]:
