@@ -61,17 +61,17 @@ def test_a_claim_has_to_hold_against_every_planner():
 
 def test_claims_are_judged_seed_by_seed():
     """Between seeds distances differ by half a metre, between planners always by the same: pairs tell."""
-    document = table2.summarise(runs(ad_cbf_mpc=0.02, d_cbf_mpc=-0.01))
+    document = table2.summarise(runs(ad_cbf_mpc=0.02, d_cbf_mpc=-0.05))
     largest = claim(document, "AD-CBF-MPC keeps", "d-cbf-mpc")
     assert largest["verdict"] == HOLDS
-    assert largest["here"]["value"] == pytest.approx(0.03)
+    assert largest["here"]["value"] == pytest.approx(0.07)
     assert largest["here"]["n_pairs"] == len(SEEDS)
     assert largest["paper"] == pytest.approx(0.94 - 0.83)
     assert claim(document, "Prediction makes room", "mpc-cbf")["verdict"] == NOT
     assert claim(document, "AD-CBF-MPC is the fastest", "mpc-cbf")["verdict"] == OPEN
     text = table2.markdown(document)
     assert "| AD-CBF-MPC keeps the largest minimum distance | **holds** | 4 | 0 | 0 |" in text
-    assert "13 % more Min-dist (here +12 %)" in text  # 0.03 of the mean of 0.1 times 0 to 5, less 0.01
+    assert "13 % more Min-dist (here +35 %)" in text  # 0.07 of the mean of 0.1 times 0 to 5, less 0.05
     assert "41 % less Vel-var (here: -)" in text
 
 
