@@ -148,6 +148,7 @@ def _escape_exists(ran: SceneDrive, config: Config) -> bool:
         ran.limit_ns,
         goal_m=ran.goal_m,
         goal_tolerance_m=config.replay.goal_tolerance_m,
+        tick_s=drive.period_s,
     )
     return found.found
 

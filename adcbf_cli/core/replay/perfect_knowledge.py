@@ -81,7 +81,7 @@ class PerfectKnowledge:
 
     def _moment(self, stamp_ns: int) -> tuple[FloatArray, FloatArray]:
         """All discs' centres and velocities (d, 2)."""
-        objects = _with_circles(self._world.at(stamp_ns))
+        objects = _with_circles(self._world.as_boxes(stamp_ns))
         centre, velocity, radius = objects.discs
         if len(radius) != len(self._radius_m):  # the same at all times
             self._track_id, self._radius_m = _ids(objects), radius

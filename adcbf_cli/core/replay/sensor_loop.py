@@ -184,4 +184,4 @@ class _Senses:
         truth = self._world.at(predictions.stamp_ns)
         near = truth.clearance(predictions.position_m[:, 0, :2], 0.0) <= SEEN_WITHIN_M
         for thing in truth.id[near.any(axis=0)].tolist():
-            self.known_since_ns.setdefault(thing, stamp_ns)
+            self.known_since_ns.setdefault(self._world.thing_of(thing), stamp_ns)

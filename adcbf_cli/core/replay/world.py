@@ -162,6 +162,13 @@ class Samples:
         return len(self.id)
 
 
+def joined(parts: list[WorldObjects]) -> WorldObjects:
+    """All of them in one, in this order."""
+    return WorldObjects(
+        *(np.concatenate([getattr(p, name) for p in parts]) for name in WorldObjects.__dataclass_fields__)
+    )
+
+
 class TrueWorld(Protocol):
     """What drives are measured against."""
 

@@ -73,13 +73,12 @@ class DrivenMotion:
         wanted = np.asarray(time_ns, dtype=np.int64)
         if len(wanted) and int(wanted.max()) > self.end_ns:
             raise ValueError("the ego has not driven that far yet")
-        if not self._inputs:
+        if not self._inputs or not len(wanted):
             return np.tile(self._pose[0], (len(wanted), 1))
-        low = max(int(np.searchsorted(self._stamp_ns, wanted.min(), side="right")) - 1, 0) if len(wanted) else 0
-        stamps = np.array(self._stamp_ns[low:])
-        tick = np.clip(np.searchsorted(stamps, wanted, side="right") - 1, 0, max(len(stamps) - 2, 0))
-        if len(stamps) == 1:  # exactly at the last tick
-            return np.tile(self._pose[-1], (len(wanted), 1))
+        # A time at a tick belongs to the way that led there, whether or not the drive has gone on since.
+        first = max(int(np.searchsorted(self._stamp_ns, wanted.min(), side="left")) - 1, 0)
+        stamps = np.array(self._stamp_ns[first:])
+        tick = np.clip(np.searchsorted(stamps, wanted, side="left") - 1, 0, None)
         since_s = np.maximum(wanted - stamps[tick], 0) / NS_PER_S
-        start, held = np.array(self._pose[low:])[tick], np.array(self._inputs[low:])[tick]
+        start, held = np.array(self._pose[first:])[tick], np.array(self._inputs[first:])[tick]
         return self._vehicle.step(start, held, since_s)

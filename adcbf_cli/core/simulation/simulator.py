@@ -189,9 +189,10 @@ class Simulator:
     def _world_from_sensor(self, time_ns: IntArray) -> FloatArray:
         """(n, 4, 4) by the odometry's samples, as a log's reader tells it."""
         poses, _ = self._reported.at(time_ns, ALL_POSES_NS)
-        return np.asarray(poses @ self._mount)
+        return np.asarray(poses @ np.repeat(self._mount[None], len(poses), axis=0))
 
 
 def _as_recorded(pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Position and quaternion of a pose (4, 4), as a log holds them."""
-    return np.array(as_recorded(pose[:3, 3])), np.array(as_recorded(quaternion_from_rotation(pose[:3, :3])))
+    """Position and unit quaternion of a pose (4, 4), as a log holds and its reader takes them."""
+    xyzw = np.array(as_recorded(quaternion_from_rotation(pose[:3, :3])))
+    return np.array(as_recorded(pose[:3, 3])), xyzw / float(np.linalg.norm(xyzw))
