@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from adcbf_cli.core.evaluation.scene_runs import SceneTask
@@ -148,4 +148,7 @@ def all_variants() -> list[Variant]:
 def tasks_of(variants: Sequence[Variant], seeds: Sequence[int]) -> dict[str, tuple[str, SceneTask]]:
     """By run id, the variant's name and what is to be driven; seed by seed, so that what is left takes as long a
     run as what is done."""
-    return {f"{one.name} seed {seed}": (one.name, one.task(seed)) for seed in seeds for one in variants}
+    of_any_seed = {one.name: one.task(0) for one in variants}
+    return {
+        f"{name} seed {seed}": (name, replace(task, seed=seed)) for seed in seeds for name, task in of_any_seed.items()
+    }

@@ -90,5 +90,16 @@ def _speed_note(speeds: Mapping[str, Any]) -> str:
         "itself decides. Perfect knowledge. The vehicle's top speed is 1 m/s, and movers come from all sides: it "
         "cannot get away from a faster one behind it. `first` is the lowest of these speeds (m/s) with a collision at "
         "all, `breaks` the lowest with more collisions than half of the runs; never: not up to "
-        f"{points[-1]['speed_mps']:g} m/s."
+        f"{points[-1]['speed_mps']:g} m/s. {_with_a_way(speeds)}"
     )
+
+
+def _with_a_way(speeds: Mapping[str, Any]) -> str:
+    """How many of the collisions came although the scene can be driven through."""
+    here = [point["here"] for found in speeds.values() for point in found["points"] if point["here"] is not None]
+    total, despite = (sum(_events(one[name]) for one in here) for name in ("collision", "collision_despite_way"))
+    return f"In {despite} of the {total} collisions a way through the scene is known to exist."
+
+
+def _events(found: Mapping[str, Any]) -> int:
+    return round((found["value"] or 0.0) * found["n"])

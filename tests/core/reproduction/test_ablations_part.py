@@ -80,6 +80,12 @@ def test_shared_runs_are_run_once():
     assert (name, task.planner, task.seed, task.config) == (BASE.name, "ad-cbf-mpc", 1, Config())
 
 
+@pytest.mark.parametrize(("asked", "driven"), [(3, 3), (10, 10), (12, 10), (20, 12), (100, 60)])
+def test_variants_get_a_share_of_the_seeds_and_ten_at_least(asked: int, driven: int):
+    seeds = {task.seed for _, task in ablations.tasks(range(asked)).values()}
+    assert seeds == set(range(driven))
+
+
 def rows_of(variant: Variant, gain_m: float, collides: range = range(0)) -> list[dict[str, Any]]:
     return [
         {"variant": variant.name}
@@ -120,6 +126,7 @@ def test_a_planner_breaks_where_more_than_half_of_its_runs_collide():
     assert [point["n"] for point in found["points"]] == [8] * len(SPEEDS_MPS)
     line = next(line for line in ablations.markdown(document).splitlines() if line.startswith("| `a-cbf-mpc` | 0/8"))
     assert line.endswith("| never | never |")
+    assert "In 18 of the 18 collisions" in ablations.markdown(document)
 
 
 def test_a_run_keeps_its_variant_and_no_way():
