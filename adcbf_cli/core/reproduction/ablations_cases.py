@@ -84,14 +84,15 @@ _PREVIOUS = {"planning.gamma_at": "previous"}
 GROUPS = (
     Group(
         "What perception costs",
-        "Everything within range is known with its true future, or seen by the planner's own LiDAR, clustered, tracked "
+        "Everything within 4 m is known with its true future, or seen by the planner's own LiDAR, clustered, tracked "
         "and predicted. The difference is perception minus perfect knowledge.",
         _pairs("perfect knowledge", "perception", {"knowledge": "perception"}),
     ),
     Group(
         "What the fallback ladder is worth",
-        "With the ladder, a plan that keeps no distance is not driven: it is relaxed, or the vehicle brakes. Without "
-        "it, solutions are driven whatever they are.",
+        "With the ladder, a plan that breaks a barrier is driven only where, by what the planner believes, the body "
+        "keeps the safety distance or comes no closer than it would by braking; else the vehicle brakes. Without it, every "
+        "solution is driven.",
         _pairs("ladder", "none", {"settings": {"planning.fallback": "none"}}),
     ),
     Group(
@@ -125,7 +126,7 @@ GROUPS = (
     ),
     Group(
         "The horizon",
-        "Steps of 0.1 s. A longer horizon sees farther than the range of 4 m in which obstacles are known lets it use.",
+        "Plans and predictions over the same number of steps, of 0.1 s each.",
         _of_ours(
             {f"{steps} steps": {"planning.steps": steps, "prediction.steps": steps} for steps in (10, 20, 45)},
             "30 steps (default)",

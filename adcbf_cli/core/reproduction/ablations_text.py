@@ -102,4 +102,4 @@ def _with_a_way(speeds: Mapping[str, Any]) -> str:
 
 
 def _events(found: Mapping[str, Any]) -> int:
-    return round((found["value"] or 0.0) * found["n"])
+    return round(float(found["value"] or 0.0) * int(found["n"]))

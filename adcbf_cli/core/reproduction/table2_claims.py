@@ -10,33 +10,6 @@ from adcbf_cli.core.evaluation.comparison import Difference
 from adcbf_cli.core.reproduction.drives import OURS, number_cell
 from adcbf_cli.core.reproduction.part import table
 
-PAPER: dict[str, dict[str, float | None]] = {
-    "mpc-dc": {"nav_time_s": None, "min_dist_m": 0.00, "ref_time_s": 0.938, "vel_var": None, "path_length_m": None},
-    "mpc-cbf": {
-        "nav_time_s": 49.90,
-        "min_dist_m": 0.53,
-        "ref_time_s": 0.370,
-        "vel_var": 0.1257,
-        "path_length_m": 38.525,
-    },
-    "d-cbf-mpc": {
-        "nav_time_s": 48.41,
-        "min_dist_m": 0.83,
-        "ref_time_s": 0.357,
-        "vel_var": 0.0172,
-        "path_length_m": 37.155,
-    },
-    "a-cbf-mpc": {
-        "nav_time_s": 49.23,
-        "min_dist_m": 0.57,
-        "ref_time_s": 0.433,
-        "vel_var": 0.0331,
-        "path_length_m": 37.131,
-    },
-    OURS: {"nav_time_s": 47.23, "min_dist_m": 0.94, "ref_time_s": 0.345, "vel_var": 0.0101, "path_length_m": 36.728},
-}
-"""Table II. None: the table has a dash, MPC-DC did not arrive."""
-
 MEASURES = {
     "nav_time_s": ("Nav-time, s", 2),
     "min_dist_m": ("Min-dist, m", 2),
@@ -45,6 +18,20 @@ MEASURES = {
     "path_length_m": ("Path-len, m", 3),
 }
 """The table's columns, and the decimals with which it writes them."""
+
+
+def _printed_row(*values: float | None, collision: bool = False) -> dict[str, float | None]:
+    return dict(zip(MEASURES, values, strict=True)) | {"collision": float(collision)}
+
+
+PAPER = {
+    "mpc-dc": _printed_row(None, 0.00, 0.938, None, None, collision=True),
+    "mpc-cbf": _printed_row(49.90, 0.53, 0.370, 0.1257, 38.525),
+    "d-cbf-mpc": _printed_row(48.41, 0.83, 0.357, 0.0172, 37.155),
+    "a-cbf-mpc": _printed_row(49.23, 0.57, 0.433, 0.0331, 37.131),
+    OURS: _printed_row(47.23, 0.94, 0.345, 0.0101, 36.728),
+}
+"""Table II, and from the text which run collided. None: the table has a dash."""
 
 HOLDS, NOT, OPEN = "holds", "does not hold", "cannot be told"
 
@@ -148,7 +135,7 @@ def _row(one: dict[str, Any]) -> tuple[str, ...]:
         f"`{one['other']}`",
         name,
         one["claimed"],
-        "" if one["paper"] is None else f"{one['paper']:+.{digits}f}",
+        "-" if one["paper"] is None else f"{scale * one['paper']:+.{digits}f}",
         number_cell(here["value"], here["interval_95"], digits, scale) if there else "-",
         "0" if here is None else str(here["n_pairs"]),
         one["verdict"],
