@@ -17,8 +17,11 @@ SPEEDS = (0.0, 1 / 3, 2 / 3, 1.0)
 TURNS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 """Inputs that are held, as shares of the bounds."""
 
+SIDES = (-1.0, -0.5, 0.5, 1.0)
+
 SWERVE_S = 1.0
-"""A swerve turns away for so long, back for as long, and goes straight on."""
+"""A swerve turns away for so long, back for as long, and goes straight on. Another way is to turn on the spot
+for so long, as far as the vehicle can, and only then to go."""
 
 APART_M = 0.5
 """Two starts end at least this far from each other."""
@@ -41,15 +44,18 @@ def sampled_starts(problem: Problem, instance: Instance, count: int) -> list[Flo
 def _ways(problem: Problem, last: FloatArray) -> FloatArray:
     """(K, N, 2) inputs that go to what is wanted as fast as the limits allow, from `last` (2,)."""
     vehicle, steps = problem.vehicle, problem.steps
-    speeds = [share * float(vehicle.input_max[0]) for share in SPEEDS]
-    if vehicle.input_min[0] < 0.0:
-        speeds.append(float(vehicle.input_min[0]))
-    turn_max = float(vehicle.input_max[1])
+    fastest, sharpest = float(vehicle.input_max[0]), float(vehicle.input_max[1])
     at_s = problem.step_s * np.arange(steps)
-    swerve = np.where(at_s < SWERVE_S, 1.0, np.where(at_s < 2 * SWERVE_S, -1.0, 0.0))
-    turns = [np.full(steps, share * turn_max) for share in TURNS]
-    turns += [share * turn_max * swerve for share in (-1.0, -0.5, 0.5, 1.0)]
-    wanted = np.array([np.column_stack([np.full(steps, speed), turn]) for speed in speeds for turn in turns])
+    early, late = at_s < SWERVE_S, at_s >= SWERVE_S
+    swerve = np.where(early, 1.0, np.where(at_s < 2 * SWERVE_S, -1.0, 0.0))
+    speeds = [np.full(steps, share * fastest) for share in SPEEDS]
+    if vehicle.input_min[0] < 0.0:
+        speeds.append(np.full(steps, float(vehicle.input_min[0])))
+    turns = [np.full(steps, share * sharpest) for share in TURNS]
+    turns += [share * sharpest * swerve for share in SIDES]
+    pairs = [(speed, turn) for speed in speeds for turn in turns]
+    pairs += [(share * fastest * late, side * sharpest * early) for share in (0.5, 1.0) for side in SIDES]
+    wanted = np.array([np.column_stack(pair) for pair in pairs])
     inputs = np.empty_like(wanted)
     value, reach = np.tile(last, (len(wanted), 1)), vehicle.rate_max * problem.first_step_s
     for k in range(steps):
