@@ -91,8 +91,8 @@ GROUPS = (
     Group(
         "What the fallback ladder is worth",
         "With the ladder, a plan that breaks a barrier is driven only where, by what the planner believes, the body "
-        "keeps the safety distance or comes no closer than it would by braking; else the vehicle brakes. Without it, every "
-        "solution is driven.",
+        "keeps the safety distance or comes no closer than it would by braking; else the vehicle brakes. Without it, "
+        "every solution is driven.",
         _pairs("ladder", "none", {"settings": {"planning.fallback": "none"}}),
     ),
     Group(

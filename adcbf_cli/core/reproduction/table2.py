@@ -91,6 +91,9 @@ def markdown(document: Document) -> str:
         "and in brackets how many runs have the value where not all do. The paper's values are of one run each, "
         "without an interval. Runs that do not arrive have no Nav-time and no Path-len, so that these two favour "
         "planners that fail in the hard scenes; Min-dist, Ref-time and Vel-var count failed runs up to their end.",
+        "The paper names its measures in one line each; docs/driving-metrics.md says what they are here. Ref-time is "
+        "from when keeping to the reference would, by what is known, come nearer than r_s within the horizon, to when "
+        "the vehicle itself departs from what it did before; Vel-var is of the speed within 2 m of an obstacle.",
         "## How the runs ended",
         _ended(planners),
         "Events of runs, per cent, and 95 % score intervals (Wilson). A collision is avoidable where a search with "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from typing import Any
 
 import pytest
@@ -9,7 +10,7 @@ import yaml
 
 from adcbf_cli.core.config import Config
 from adcbf_cli.core.planning.presets import make_planner
-from adcbf_cli.core.reproduction import ablations
+from adcbf_cli.core.reproduction import ablations, load_part
 from adcbf_cli.core.reproduction.ablations_cases import (
     GROUPS,
     SPEEDS_MPS,
@@ -78,6 +79,13 @@ def test_shared_runs_are_run_once():
     assert list(tasks)[len(variants)].endswith("seed 1")
     name, task = tasks["ad-cbf-mpc perfect seed 1"]
     assert (name, task.planner, task.seed, task.config) == (BASE.name, "ad-cbf-mpc", 1, Config())
+
+
+@pytest.mark.parametrize("name", ["table2", "fig6", "ablations"])
+def test_runs_can_go_to_other_processes(name: str):
+    part = load_part(name)
+    task = next(iter(part.tasks([SEED]).values()))
+    assert pickle.loads(pickle.dumps((part.run, task))) == (part.run, task)
 
 
 @pytest.mark.parametrize(("asked", "driven"), [(3, 3), (10, 10), (12, 10), (20, 12), (100, 60)])
