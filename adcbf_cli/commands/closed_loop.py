@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from adcbf_cli.commands.options import ConfigFile, Settings, parse_seeds
-from adcbf_cli.commands.scene_runs import RecordedTask, run_and_record
+from adcbf_cli.commands.scene_runs import LOGS, RecordedTask, remove_scene_log, run_and_record
 from adcbf_cli.commands.terminal import COMPILING, patience, print_json, print_table, say
 from adcbf_cli.core.errors import EXIT_FAILED, EXIT_THRESHOLD, UsageError
 
@@ -20,6 +20,10 @@ if TYPE_CHECKING:
     from adcbf_cli.core.config import Config
     from adcbf_cli.core.evaluation.monte_carlo import MonteCarlo
     from adcbf_cli.core.evaluation.thresholds import Threshold
+
+
+RESULTS = ("runs.parquet", "report.json", "report.md")
+"""What is made of the finished runs' rows, in the folder that holds these."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,7 @@ def run_closed_loop(
 ) -> None:
     """Runs what is missing of the campaign, and writes its tables and report."""
     from adcbf_cli.commands.campaign import ERROR, run_campaign
+    from adcbf_cli.io.atomic import remove_leftovers
     from adcbf_cli.io.run_folder import code_version
     from adcbf_cli.io.run_rows import RunRows
 
@@ -85,13 +90,17 @@ def run_closed_loop(
     first = next(iter(tasks.values()))
     key = _key(text, first.task.config, options, code_version())
     with RunRows(folder, "runs", key) as rows:
+        remove_leftovers(folder)
         if rows.opened == "replaced":
             say(f"{folder}: held runs of another scene, setting or version; they are replaced")
             _remove_results(folder)
-        results = run_campaign(tasks, run_and_record, rows, options.jobs, stem)
-    done = [row for row in results if ERROR not in row]
-    _finish(folder, stem, text, first.task.config, options, results, thresholds, as_json)
-    if len(done) < len(results):
+        found = run_campaign(tasks, run_and_record, rows, options.jobs, stem)
+        results = [
+            {"planner": asked.task.planner, "seed": asked.task.seed} | row
+            for asked, row in zip(tasks.values(), found, strict=True)
+        ]
+        _finish(folder, stem, text, first.task.config, options, results, thresholds, as_json)
+    if any(ERROR in row for row in results):
         raise typer.Exit(EXIT_FAILED)
 
 
@@ -122,26 +131,35 @@ def _plan(
     thresholds = [parse_threshold(word) for word in options.fail_on or []]
     check_names(thresholds, metric_names(names))
     config = resolve_config(Config(), options.config, options.settings or ())
-    scenario = parse_scenario(text, stem, seed)
-    seeds = (scenario.seed,) if options.seeds is None else parse_seeds(options.seeds)
+    seeds = None if options.seeds is None else parse_seeds(options.seeds)
+    scenario = parse_scenario(text, stem, seed if seeds is None else seeds[0])
     check_duration(route_of(scenario, config), config)
     vehicle = Vehicle.from_config(config.vehicle)
     with patience(COMPILING):
         for name in names:
             make_planner(name, vehicle, config.planning, Notes())
-    logs = _folder(stem, output) / "logs"
+    logs = _folder(stem, output) / LOGS
     tasks = [
         SceneTask(text, stem, number, name, config, knowledge)  # type: ignore[arg-type]
-        for number in seeds
+        for number in seeds or (scenario.seed,)
         for name in names
     ]
     return {task.run_id: RecordedTask(task, record, logs) for task in tasks}, thresholds  # type: ignore[arg-type]
 
 
 def _folder(stem: str, output: Path | None) -> Path:
+    """Where the runs go; UsageError where something else is there that they would overwrite."""
+    from adcbf_cli.io.run_folder import RunFolder
+
     folder = Path(f"{stem}.runs") if output is None else output
     if folder.exists() and not folder.is_dir():
         raise UsageError(f"{folder}: is a file; the runs of a closed loop go into a folder")
+    if RunFolder.is_one(folder):
+        raise UsageError(f"{folder}: is the run folder of a log; choose another with -o")
+    if not (folder / "runs.jsonl").exists():
+        for name in RESULTS:
+            if (folder / name).exists():
+                raise UsageError(f"{folder / name}: would be overwritten; move it, or choose another folder with -o")
     return folder
 
 
@@ -158,12 +176,11 @@ def _key(text: str, config: Config, options: ClosedLoop, version: str) -> str:
 
 
 def _remove_results(folder: Path) -> None:
-    """What was made of the rows that are gone."""
-    import shutil
-
-    for name in ("runs.parquet", "report.md", "report.json"):
+    """What was made of the rows that are gone, and nothing else that lies in the folder."""
+    for name in RESULTS:
         (folder / name).unlink(missing_ok=True)
-    shutil.rmtree(folder / "logs", ignore_errors=True)
+    for log in (folder / LOGS).glob("*/"):
+        remove_scene_log(log)
 
 
 def _finish(
@@ -177,6 +194,7 @@ def _finish(
     as_json: bool,
 ) -> None:
     """Table, report, the terminal's table, thresholds."""
+    from adcbf_cli.commands.campaign import ERROR
     from adcbf_cli.core.evaluation import monte_carlo
     from adcbf_cli.core.evaluation.report import Report
     from adcbf_cli.core.evaluation.thresholds import missed
@@ -184,8 +202,10 @@ def _finish(
     from adcbf_cli.io.run_folder import code_version
     from adcbf_cli.io.run_tables import write_runs
 
-    planners = list(dict.fromkeys(row["planner"] for row in results if "planner" in row))
-    against = options.against or (planners[0] if len(planners) > 1 else None)
+    finished = dict.fromkeys(row["planner"] for row in results if ERROR not in row)
+    against = options.against or (next(iter(finished)) if len(finished) > 1 else None)
+    if against not in finished:  # the rates of the others still stand
+        against = None
     study: MonteCarlo = monte_carlo.study(results, against)
     report = Report()
     report.metrics |= study.metrics()

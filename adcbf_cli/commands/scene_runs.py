@@ -16,6 +16,11 @@ if TYPE_CHECKING:
 
 Record = Literal["none", "collisions", "all"]
 
+LOGS = "logs"
+"""In the folder of the runs: a folder for each run that is written out."""
+
+LOG_FILES = ("run.mcap", "truth.csv", "route.csv", "scene.yaml")
+
 
 @dataclass(frozen=True)
 class RecordedTask:
@@ -46,10 +51,11 @@ def write_scene_log(folder: Path, seed: int, run: SceneRun) -> None:
     from adcbf_cli.core.simulation.parsing import scenario_yaml
     from adcbf_cli.core.simulation.paths import route_points
     from adcbf_cli.core.simulation.simulator import Simulator
-    from adcbf_cli.io.atomic import atomic_path, write_text_atomically
+    from adcbf_cli.io.atomic import atomic_path, remove_leftovers, write_text_atomically
     from adcbf_cli.io.simulation_log import write_log, write_scan_truth
 
     folder.mkdir(parents=True, exist_ok=True)
+    remove_leftovers(folder)
     scenario = run.scenario
     simulator = Simulator(scenario, seed, run.ran.motion)
     assert scenario.route is not None
@@ -59,3 +65,14 @@ def write_scene_log(folder: Path, seed: int, run: SceneRun) -> None:
     with ExitStack() as together:
         write_scan_truth(together.enter_context(atomic_path(folder / "truth.csv")), simulator)
         write_log(folder / "run.mcap", simulator, simulator)
+
+
+def remove_scene_log(folder: Path) -> None:
+    """Removes what `write_scene_log` wrote, and the folder if nothing else is in it."""
+    from adcbf_cli.io.atomic import remove_leftovers
+
+    remove_leftovers(folder)
+    for name in LOG_FILES:
+        (folder / name).unlink(missing_ok=True)
+    if not any(folder.iterdir()):
+        folder.rmdir()

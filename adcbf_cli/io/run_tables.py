@@ -14,10 +14,12 @@ COLLISION = ("object_id", "kind", "moving", "at_s", "known_since_s", "avoidable"
 
 
 def write_runs(path: Path, rows: Sequence[Mapping[str, Any]], metadata: Mapping[str, Any]) -> None:
-    """Rows of `evaluation.scene_runs`; a run that failed has its error and nothing else."""
+    """Rows of `evaluation.scene_runs`; a run that failed has its planner, its seed, its error and nothing else."""
+    planners = list(dict.fromkeys(row["planner"] for row in rows))
+    ordered = sorted(rows, key=lambda row: (planners.index(row["planner"]), row["seed"]))
     with TableWriter(path, "runs", metadata) as writer:
-        if rows:
-            flat = [_flat(row) for row in rows]
+        if ordered:
+            flat = [_flat(row) for row in ordered]
             writer.write({name: [row[name] for row in flat] for name in flat[0]})
 
 
