@@ -48,7 +48,12 @@ def summarise(rows: Sequence[Row]) -> Document:
             "route_m": _rounded(route),
             "goal_tolerance_m": Config().replay.goal_tolerance_m,
             "body_radius_m": Config().vehicle.body_radius_m,
-            "standing": _shapes(world.at(start_ns), len(scenario.movers), None),
+            "standing": [
+                shape | {"ellipse": thing.kind == "rock"}
+                for shape, thing in zip(
+                    _shapes(world.as_boxes(start_ns), len(scenario.movers), None), scenario.objects, strict=True
+                )
+            ],
             "movers": _movers(world, len(scenario.movers), shown, start_ns, max(row["duration_s"] for row in rows)),
             "ways": [{"planner": row["planner"], "result": row["result"], "path_m": row["path"]} for row in rows],
         },

@@ -70,7 +70,8 @@ def _explained(met_by: str) -> list[Artist]:
 
 
 def _outline(thing: dict[str, Any], **look: Any) -> Patch:
-    from matplotlib.patches import Circle, Rectangle
+    """A circle, a rectangle, or the ellipse in it."""
+    from matplotlib.patches import Circle, Ellipse, Rectangle
 
     x, y = thing["centre_m"]
     box = thing["box"]
@@ -78,6 +79,8 @@ def _outline(thing: dict[str, Any], **look: Any) -> Patch:
         return Circle((x, y), thing["radius_m"], **look)
     corner = (x - box["length_m"] / 2, y - box["width_m"] / 2)
     angle = float(np.rad2deg(box["yaw_rad"]))
+    if thing.get("ellipse"):
+        return Ellipse((x, y), box["length_m"], box["width_m"], angle=angle, **look)
     return Rectangle(corner, box["length_m"], box["width_m"], angle=angle, rotation_point="center", **look)
 
 

@@ -37,6 +37,7 @@ def test_all_that_stands_is_there_as_it_is(scenario: Any, document: dict[str, An
     tree = next(index for index, thing in enumerate(scenario.objects) if thing.kind == "tree")
     assert standing[tree]["radius_m"] == pytest.approx(scenario.objects[tree].trunk_radius_m, abs=1e-3)
     assert standing[tree]["box"] is None
+    assert [thing["ellipse"] for thing in standing] == [thing.kind == "rock" for thing in scenario.objects]
 
 
 def test_a_mover_is_drawn_where_it_was_nearest(scenario: Any, document: dict[str, Any]):
