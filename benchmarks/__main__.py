@@ -67,6 +67,8 @@ def main() -> None:
     print(tracking(results), flush=True)
     print("## Planning\n")
     print(run("planning.py", "--json", str(results / "planning.json")), flush=True)
+    print("## Closed loop\n")
+    print(run("closed_loop.py", "--json", str(results / "closed_loop.json")), flush=True)
     print(f"## {measuring.SAMPLE_LOG.name}\n")
     on_log(measuring.SAMPLE_LOG, results, 45)
     print("### segmentation\n")

@@ -1,4 +1,4 @@
-"""What a closed loop can hit: the true outlines of a simulated scene's things, against outlines drawn point by point."""
+"""What a closed loop can hit: the true outlines of a scene's things, against outlines drawn point by point."""
 
 from __future__ import annotations
 
