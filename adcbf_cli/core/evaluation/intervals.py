@@ -34,4 +34,5 @@ def wilson(events: int, n: int) -> tuple[float, float] | None:
     rate, z2 = events / n, _Z * _Z
     middle = (rate + z2 / (2 * n)) / (1 + z2 / n)
     half = _Z / (1 + z2 / n) * math.sqrt(rate * (1 - rate) / n + z2 / (4 * n * n))
-    return max(0.0, middle - half), min(1.0, middle + half)
+    # With none or all of the trials, one end is the rate itself, which rounding must not push to its other side.
+    return max(0.0, middle - half) if events else 0.0, min(1.0, middle + half) if events < n else 1.0

@@ -60,6 +60,16 @@ def test_wilson(events: int, n: int, low: float, high: float) -> None:
     assert wilson(events, n) == (pytest.approx(low, abs=5e-5), pytest.approx(high, abs=5e-5))
 
 
+def test_a_rate_is_never_outside_of_its_own_interval() -> None:
+    """Not by a rounding error either: pictures draw the ends as distances from the rate."""
+    for n in range(1, 200):
+        for events in (0, 1, n - 1, n):
+            low, high = wilson(events, n) or (np.nan, np.nan)
+            assert low <= events / n <= high
+        assert (wilson(0, n) or ())[0] == 0.0
+        assert (wilson(n, n) or (0.0,))[-1] == 1.0
+
+
 def test_wilson_solves_its_equation() -> None:
     """The bounds are the rates p from which the seen one is 1.96 standard errors of p away."""
     for events, n in ((3, 20), (17, 20), (40, 300)):
