@@ -14,16 +14,22 @@ from adcbf_cli.core.config import PlanningConfig
 from adcbf_cli.core.planning import fallback, pursuit, starts
 from adcbf_cli.core.planning.barrier import Barrier, gamma_at
 from adcbf_cli.core.planning.columns import Columns, ObstacleSet, can_bind, columns_of, nearest
-from adcbf_cli.core.planning.merit import barrier_rows, merit, rows_along
+from adcbf_cli.core.planning.merit import barrier_rows, merit, merits, rows_along
 from adcbf_cli.core.planning.planner import Details, Outcome, Plan, Situation
 from adcbf_cli.core.planning.problem import Instance, Problem, Solution, SolverStatus, Weights
-from adcbf_cli.core.planning.sampled import sampled_starts
+from adcbf_cli.core.planning.sampled import roomiest, sampled_starts, sampled_ways
 from adcbf_cli.core.planning.solvers.base import make_solver
 from adcbf_cli.core.types import FloatArray, Notes
 from adcbf_cli.core.vehicles.vehicle import Vehicle
 
 STUCK_SHARE = 0.3
 """A plan whose mean speed is below this share of the reference's looks for another way."""
+
+EVADE_ROOM = 2.0
+"""Room beyond this many safety distances does not make a way out better."""
+
+EVADE_GAIN_M = 0.05
+"""A way out has to keep this much more room than the solver's plan does."""
 
 FEASIBLE_M2 = 1e-6
 """A smaller barrier violation is the solver's tolerance."""
@@ -94,9 +100,44 @@ class MpcPlanner:
         outcome = fallback.outcome_of(details, self._planning.hard and ladder)
         if outcome is Outcome.BRAKED:
             return self._braked(situation, details)
-        if ladder and outcome is Outcome.RELAXED and not self._may_relax(scene, poses):
-            return self._braked(situation, details)
+        if ladder and outcome is Outcome.RELAXED:
+            return self._evading(scene, poses) or self._relaxed(scene, Plan(outcome, inputs, poses, details))
         return Plan(outcome, inputs, poses, details)
+
+    def _relaxed(self, scene: _Scene, plan: Plan) -> Plan:
+        """The plan that violates a barrier, or braking."""
+        if plan.details is None or self._may_relax(scene, plan.poses):
+            return plan
+        return self._braked(scene.situation, plan.details)
+
+    def _evading(self, scene: _Scene, poses: FloatArray) -> Plan | None:
+        """Where the plan at these poses comes within the safety distance of what moves: of the last way taken, braking
+        and sampled ways the one that keeps the most room, if it keeps more by EVADE_GAIN_M; else None."""
+        problem, known, situation = self._problem, scene.known, scene.situation
+        moving = np.flatnonzero(np.abs(known.centre_m[:, -1] - known.centre_m[:, 0]).max(axis=1, initial=0.0) > 0.0)
+        safety_m, body_m = self._planning.safety_distance_m, problem.vehicle.body_radius_m
+        if (
+            fallback.surface_m(poses, known.centre_m[moving], known.radius_m[moving], body_m).min(initial=np.inf)
+            >= safety_m
+        ):
+            return None
+        brake = fallback.braking(problem.vehicle, situation, problem.steps, problem.step_s, problem.first_step_s)
+        ways = [brake.inputs[None], sampled_ways(problem, situation.inputs)]
+        if "shifted" in scene.guesses:
+            ways.insert(0, scene.guesses["shifted"][None])
+        inputs = np.concatenate(ways)
+        driven, worth = merits(problem, scene.instance, inputs)
+        everything = np.concatenate([poses[None], driven])
+        room = roomiest(problem.vehicle, everything, known.centre_m, known.radius_m, EVADE_ROOM * safety_m)
+        most = float(room[1:].max())
+        if most < float(room[0]) + EVADE_GAIN_M:
+            return None
+        roomy = np.flatnonzero(room[1:] >= most - EVADE_GAIN_M / 2)
+        best = int(roomy[np.argmin(worth[roomy])])
+        self._memory = _Memory(situation.stamp_ns, inputs[best])
+        taken = Solution(inputs[best], SolverStatus.FAILED, 0, float(worth[best]))
+        details = replace(self._details(scene, "evading", taken, driven[best]), feasible=False)
+        return Plan(Outcome.RELAXED, inputs[best], driven[best], details)
 
     def _scene(self, situation: Situation) -> _Scene:
         problem, planning, pose = self._problem, self._planning, situation.pose

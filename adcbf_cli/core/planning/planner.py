@@ -40,8 +40,9 @@ class Outcome(enum.StrEnum):
 class Details:
     """What an optimising planner can say about its plan; n obstacles in the problem, N stages.
 
-    status: the solver's. start: which start won ("shifted", "reference"; where none was
-        solved and the plan is driven all the same, "shifted" or "held"). merit: as in merit().
+    status: the solver's. start: which start won ("shifted", "reference", "sampled";
+        "evading": no solution, but the way that keeps the most room; where none was solved and the plan is
+        driven all the same, "shifted" or "held"). merit: as in merit().
     violation_m2: largest barrier violation over all rows; decay: smallest decay used (1: none).
     feasible: whether the barriers hold without slack (to 1e-6 m^2).
     track_id: (n,) whose columns follow. barrier_m2: (N + 1, n) h along the plan; gamma, slack_m2: (N, n).

@@ -1,8 +1,12 @@
-"""Starts of last resort: of a set of sampled ways, the most promising ones.
+"""Ways of last resort: of a set of sampled ones, the most promising.
 
 Where the previous plan and the path both lead into a barrier, or to standing still, a solver that
 descends from them stays there. Ways that turn, swerve, hurry or brake are tried by their merit alone,
 which costs little, and the solver goes on from the best.
+
+Where no plan keeps clear of what moves, merit is a bad guide: it adds up what every stage violates, and
+every stage's barrier is violated by what comes fast, however far it still is, so that the cheapest plan
+is to slow down and be hit. There the way that keeps the most room is the better one.
 """
 
 from __future__ import annotations
@@ -12,6 +16,7 @@ import numpy as np
 from adcbf_cli.core.planning.merit import merits
 from adcbf_cli.core.planning.problem import Instance, Problem
 from adcbf_cli.core.types import FloatArray
+from adcbf_cli.core.vehicles.vehicle import Vehicle
 
 SPEEDS = (0.0, 1 / 3, 2 / 3, 1.0)
 TURNS = (-1.0, -0.5, 0.0, 0.5, 1.0)
@@ -29,7 +34,7 @@ APART_M = 0.5
 
 def sampled_starts(problem: Problem, instance: Instance, count: int) -> list[FloatArray]:
     """Up to `count` inputs (N, 2) within the vehicle's limits, the best by merit first."""
-    ways = _ways(problem, instance.last_inputs)
+    ways = sampled_ways(problem, instance.last_inputs)
     poses, worth = merits(problem, instance, ways)
     chosen: list[int] = []
     for i in np.argsort(worth, kind="stable").tolist():
@@ -41,7 +46,17 @@ def sampled_starts(problem: Problem, instance: Instance, count: int) -> list[Flo
     return [ways[i] for i in chosen]
 
 
-def _ways(problem: Problem, last: FloatArray) -> FloatArray:
+def roomiest(
+    vehicle: Vehicle, poses: FloatArray, centre_m: FloatArray, radius_m: FloatArray, enough_m: float
+) -> FloatArray:
+    """(K,) smallest surface distance of K ways (K, N + 1, 3) to n obstacles, centres (n, N + 1, 2) and radii (n,),
+    counted up to `enough_m`."""
+    gap = centre_m[None] - poses[:, None, :, :2]
+    room = np.hypot(gap[..., 0], gap[..., 1]) - radius_m[None, :, None] - vehicle.body_radius_m
+    return np.asarray(np.minimum(room.min(axis=(1, 2), initial=np.inf), enough_m))
+
+
+def sampled_ways(problem: Problem, last: FloatArray) -> FloatArray:
     """(K, N, 2) inputs that go to what is wanted as fast as the limits allow, from `last` (2,)."""
     vehicle, steps = problem.vehicle, problem.steps
     fastest, sharpest = float(vehicle.input_max[0]), float(vehicle.input_max[1])
@@ -55,6 +70,7 @@ def _ways(problem: Problem, last: FloatArray) -> FloatArray:
     turns += [share * sharpest * swerve for share in SIDES]
     pairs = [(speed, turn) for speed in speeds for turn in turns]
     pairs += [(share * fastest * late, side * sharpest * early) for share in (0.5, 1.0) for side in SIDES]
+    pairs += [(speed, side * sharpest * early) for speed in speeds[1:] for side in SIDES]
     wanted = np.array([np.column_stack(pair) for pair in pairs])
     inputs = np.empty_like(wanted)
     value, reach = np.tile(last, (len(wanted), 1)), vehicle.rate_max * problem.first_step_s
