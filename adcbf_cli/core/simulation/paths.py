@@ -7,6 +7,7 @@ of time. A smooth path is a dense polyline along a Catmull-Rom curve.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -168,6 +169,7 @@ class _Schedule:
         )
 
 
+@lru_cache(maxsize=1024)
 def _schedule(path: LinePath | WaypointPath) -> _Schedule:
     if isinstance(path, LinePath):
         corners = np.array([path.from_m, path.to_m])

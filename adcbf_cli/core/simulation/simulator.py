@@ -124,7 +124,7 @@ class Simulator:
         lidar = self.scenario.lidar
         stamp_ns = self.world.start_ns + index * self.pattern.period_ns
         time_ns = stamp_ns + self.pattern.offset_ns
-        world_from_sensor = compose(self.world_from_base(time_ns), self.base_from_sensor)
+        world_from_sensor = self._true_sensor(time_ns)
         hits = self.world.cast(
             time_ns, world_from_sensor, self.pattern.directions, lidar.max_range_m + 6 * lidar.range_sigma_m
         )
@@ -146,6 +146,13 @@ class Simulator:
             world_from_base=self.world_from_base(np.array([stamp_ns]))[0],
             odom_from_base=self.odom_from_base(np.array([stamp_ns]))[0],
         )
+
+    def _true_sensor(self, time_ns: IntArray) -> FloatArray:
+        """(n, 4, 4) the sensor's true pose at (n,) times; one pose where all are one time."""
+        if time_ns[0] == time_ns[-1]:
+            pose = compose(self.world_from_base(time_ns[:1]), self.base_from_sensor)
+            return np.repeat(pose, len(time_ns), axis=0)
+        return compose(self.world_from_base(time_ns), self.base_from_sensor)
 
     def _follow_odometry(self) -> None:
         """Takes the odometry's samples up to the motion's end."""
