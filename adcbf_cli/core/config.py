@@ -257,7 +257,7 @@ class PlanningConfig(StageConfig):
         description="For planners that use predictions. paper: each moving obstacle twice, held and predicted.",
     )
     uncertainty: Literal["none", "sigma", "conformal"] = Field(
-        "none", description="What the predicted position's uncertainty adds to an obstacle's radius."
+        "sigma", description="What the predicted position's uncertainty adds to an obstacle's radius."
     )
     hard: bool = Field(False, description="No slack: what cannot be met is infeasible, and counted.")
     fallback: Literal["ladder", "none"] = Field(

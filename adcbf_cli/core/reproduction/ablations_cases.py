@@ -64,6 +64,14 @@ def _of_ours(settings: Mapping[str, Mapping[str, Any]], base: str) -> dict[str, 
     return {base: (default, default)} | {label: (Variant(OURS, value), default) for label, value in settings.items()}
 
 
+def _seen(settings: Mapping[str, Mapping[str, Any]]) -> dict[str, tuple[Variant, Variant]]:
+    """Variants of the paper's planner with perception, the default first."""
+    default = Variant(OURS, knowledge="perception")
+    return {"default": (default, default)} | {
+        label: (Variant(OURS, value, "perception"), default) for label, value in settings.items()
+    }
+
+
 def _pairs(first: str, second: str, changed: Mapping[str, Any]) -> dict[str, tuple[Variant, Variant]]:
     """Each planner as it is by default, then changed."""
     variants = {}
@@ -130,6 +138,19 @@ GROUPS = (
         _of_ours(
             {f"{steps} steps": {"planning.steps": steps, "prediction.steps": steps} for steps in (10, 20, 45)},
             "30 steps (default)",
+        ),
+    ),
+    Group(
+        "What is not in the paper",
+        "With perception. By default obstacles are widened by the 95 % radius of their predicted position (sigma), and "
+        "where a plan breaks a barrier or stands, sampled ways are tried too (three starts).",
+        _seen(
+            {
+                "no margin": {"planning.uncertainty": "none"},
+                "conformal margin": {"planning.uncertainty": "conformal"},
+                "two starts": {"planning.starts": 2},
+                "no margin, two starts": {"planning.uncertainty": "none", "planning.starts": 2},
+            }
         ),
     ),
 )
