@@ -49,7 +49,8 @@ SEEN_WITHIN_M = 0.3
 class SceneDrive:
     """One drive through a scene.
 
-    known_since_ns: by the truth's id, when the tracker first reported a thing; it is not there if never.
+    known_since_ns: by the truth's id, when the tracker first reported a thing, or, with perfect knowledge, when it
+        first was within the range of what planners are told; it is not there if never.
     stage_ms: wall milliseconds by stage: "simulate", "cluster", "track", "predict" a scan, "plan" a tick.
     motion: where the vehicle was at any time of the drive, for taking its scans again.
     goal_m: (2,) where it was to go; limit_ns: until when.
@@ -97,7 +98,8 @@ def drive_scene(
     end_ns = start_ns + round(1e9 * config.replay.timeout_factor * path.length_m / path.speed_mps)
     nowhere = LogPath(np.array([start_ns, end_ns]), np.full((2, 3), np.nan))
     entry = Entry(planner, seed, start_ns, motion.at(np.array([start_ns]))[0], np.zeros(2), path, keep_stages)
-    driver = Driver(entry, Setting(world, nowhere, vehicle, config), clock, notes)
+    setting = Setting(world, nowhere, vehicle, config)
+    driver = Driver(entry, setting, clock, notes)
     senses = _Senses(simulator, world, config, notes, clock, on_clusters)
     known: Known = senses if knowledge == "perception" else PerfectKnowledge(world)
     while driver.result is None:
@@ -111,7 +113,20 @@ def drive_scene(
     drive = driver.drive()
     assert drive.steps is not None
     stage_ms = {**senses.stage_ms, "plan": drive.steps.solve_ms.tolist()}
-    return SceneDrive(drive, world, senses.known_since_ns, stage_ms, motion, path.goal_m, end_ns)
+    known_since_ns = (
+        senses.known_since_ns if knowledge == "perception" else _told_since_ns(drive, world, setting.range_m)
+    )
+    return SceneDrive(drive, world, known_since_ns, stage_ms, motion, path.goal_m, end_ns)
+
+
+def _told_since_ns(drive: Drive, world: SimulatedWorld, range_m: float) -> dict[int, int]:
+    """By the truth's id, the first tick at which a thing was within range of one who knows everything there."""
+    since: dict[int, int] = {}
+    for stamp_ns, pose in zip(drive.stamp_ns.tolist(), drive.pose, strict=True):
+        things = world.at(stamp_ns)
+        for thing in things.id[things.clearance(pose[None, :2], 0.0)[0] <= range_m].tolist():
+            since.setdefault(world.thing_of(thing), stamp_ns)
+    return since
 
 
 @dataclass(slots=True)

@@ -107,7 +107,6 @@ def test_with_perfect_knowledge_no_scan_is_taken() -> None:
     ran = drive("ad-cbf-mpc", "perfect", lived)
     assert ran.drive.result is Result.SUCCESS
     assert not lived
-    assert not ran.known_since_ns
     assert set(ran.stage_ms) == {"plan"}
 
 
@@ -127,3 +126,13 @@ def test_a_scene_without_a_route_is_refused() -> None:
     ego = {"path": {"kind": "stand", "at_m": [0, 0]}}
     with pytest.raises(UsageError, match="no route"):
         driven(route=None, ego=ego)
+
+
+def test_with_perfect_knowledge_a_thing_is_known_from_when_it_is_in_range() -> None:
+    """The post of 0.2 m radius is 4 m away, surface to centre, when the vehicle is at x = 1.8 m."""
+    post = {"kind": "cylinder", "radius_m": 0.2, "path": {"kind": "stand", "at_m": [6, 0]}}
+    ran = driven(
+        "pure-pursuit", "perfect", movers=[post, post | {"path": {"kind": "stand", "at_m": [15, 0]}}], objects=[]
+    )
+    first = np.flatnonzero(ran.drive.pose[:, 0] >= 1.8)[0]
+    assert ran.known_since_ns == {0: int(ran.drive.stamp_ns[first])}
