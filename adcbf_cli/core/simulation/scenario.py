@@ -237,6 +237,12 @@ class Route(StageConfig):
         0.0, description="Objects that are drawn at random leave at least this much room between one another."
     )
 
+    @model_validator(mode="after")
+    def _leads_somewhere(self) -> Route:
+        if len(set(self.points_m)) == 1:
+            raise ValueError("points_m are all the same place")
+        return self
+
 
 class Ego(StageConfig):
     """The robot that carries the sensor. It follows the ground under its four wheels.

@@ -24,7 +24,7 @@ from adcbf_cli.core.simulation.objects import (
     build_static,
     world_from_parts,
 )
-from adcbf_cli.core.simulation.paths import ego_path, motion_along
+from adcbf_cli.core.simulation.paths import ego_path, motion_along, route_points
 from adcbf_cli.core.simulation.randomness import Purpose, generator
 from adcbf_cli.core.simulation.scenario import Scenario
 from adcbf_cli.core.simulation.shapes import Mesh, merge
@@ -230,6 +230,8 @@ def _check_on_ground(scenario: Scenario, ground: HeightField) -> None:
         motion = motion_along(path, times)
         if not ground.covers(motion.x_m, motion.y_m).all():
             raise UsageError(f"{key}: leaves the terrain; raise terrain.size_m or move terrain.centre_m")
+    if scenario.route is not None and not ground.covers(*route_points(scenario.route).T).all():
+        raise UsageError("route: leaves the terrain; raise terrain.size_m or move terrain.centre_m")
     for index, thing in enumerate(scenario.objects):
         ends = [thing.from_m, thing.to_m] if thing.kind == "wall" else [thing.at_m]
         spots = np.array(ends)

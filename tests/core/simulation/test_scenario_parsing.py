@@ -171,6 +171,11 @@ RELATIVE = MINIMAL + "route: {points_m: [[0, 0], [10, 0]]}\n"
             "objects.0: no free place in 1000 draws",
         ),
         (RELATIVE + "objects: &a [*a]", "objects.0"),
+        (
+            "duration_s: 5\nlidar: {kind: spinning}\nroute: {points_m: [[1, 2], [1, 2]], length_m: 9}\n"
+            "objects: [{kind: tree, beside_m: [1, 1]}]",
+            "route: points_m are all the same place",
+        ),
     ],
 )
 def test_a_mistake_in_a_drawn_scene_gets_one_line_that_names_the_key(text: str, message: str):

@@ -237,6 +237,7 @@ def test_a_cylinders_volume_is_right():
             "movers.0.path",
         ),
         ({"objects": [{"kind": "wall", "from_m": [0, 5], "to_m": [0, 70]}]}, "objects.0"),
+        ({"route": {"points_m": [[0, 0], [60, 0]]}}, "route"),
     ],
 )
 def test_what_leaves_the_terrain_is_refused(changes: dict[str, Any], key: str):
