@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 ALL = "all"
 RUNS = "runs"
 """The folder, inside the output folder, of the finished runs' rows."""
+README_TITLE = "# The paper, reproduced"
 
 
 def reproduce(
@@ -55,6 +56,8 @@ def reproduce(
 
     names, numbers = _chosen(parts), parse_seeds(seeds)
     check_folder(output)
+    if ALL in parts:
+        _check_readme(output)
     with RunFolder(output).locked():
         made = [_make(load_part(name), output, numbers, jobs) for name in names]
         if ALL in parts:
@@ -163,12 +166,21 @@ def _names(part: Part) -> list[str]:
     return [f"{part.name}.{suffix}" for suffix in ("json", "md", *(("png", "svg") if part.figure else ()))]
 
 
+def _check_readme(folder: Path) -> None:
+    """UsageError where the page of all texts would take the place of somebody else's README."""
+    from adcbf_cli.core.errors import UsageError
+
+    page = folder / "README.md"
+    if page.exists() and not page.read_bytes().startswith(README_TITLE.encode()):
+        raise UsageError(f"{page}: is not of this command and would be overwritten; choose another folder with -o")
+
+
 def _write_readme(folder: Path, made: Sequence[_Made]) -> None:
     """All parts' texts, one heading deeper, in one page."""
     from adcbf_cli.io.atomic import write_text_atomically
 
     head = (
-        "# The paper, reproduced\n\n"
+        f"{README_TITLE}\n\n"
         "Written by `adcbf reproduce all`. Each section is a file of its own here, with its numbers in JSON beside it."
     )
     sections = [

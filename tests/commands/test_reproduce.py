@@ -95,6 +95,16 @@ def test_all_joins_the_texts(made: Path, monkeypatch: pytest.MonkeyPatch):
     (made / "README.md").unlink()
 
 
+def test_all_leaves_a_readme_that_it_did_not_write_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(command, "PARTS", ("fig4",))
+    (tmp_path / "README.md").write_text("# My robot\n")
+    result = run("all", "-o", tmp_path)
+    assert isinstance(result.exception, UsageError)
+    assert "README.md: is not of this command" in str(result.exception)
+    assert [path.name for path in tmp_path.iterdir()] == ["README.md"]
+    assert (tmp_path / "README.md").read_text() == "# My robot\n"
+
+
 def test_json_is_one_document_without_the_curves(made: Path):
     document = json.loads(run("fig4", "-o", made, "--json").stdout)
     results = document["parts"]["fig4"]["results"]
