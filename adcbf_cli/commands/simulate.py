@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from adcbf_cli.commands.closed_loop import ClosedLoop, run_closed_loop
 from adcbf_cli.commands.options import shared_options
-
-if TYPE_CHECKING:
-    pass
 
 
 @shared_options

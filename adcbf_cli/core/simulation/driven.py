@@ -50,14 +50,6 @@ class DrivenMotion:
         self._pose: list[FloatArray] = [np.array(pose, dtype=float)]
         self._inputs: list[FloatArray] = []
 
-    @classmethod
-    def of_drive(cls, vehicle: Vehicle, stamp_ns: IntArray, pose: FloatArray, inputs: FloatArray) -> DrivenMotion:
-        """From a drive's ticks: (T,), (T, 3), and the inputs (T, 2) from each tick on, the last not driven."""
-        motion = cls(vehicle, int(stamp_ns[0]), pose[0])
-        for at_ns, there, held in zip(stamp_ns[1:].tolist(), pose[1:], inputs[:-1], strict=True):
-            motion.drive(held, at_ns, there)
-        return motion
-
     @property
     def end_ns(self) -> int:
         return self._stamp_ns[-1]
