@@ -238,7 +238,7 @@ def _finish(
 
 
 def _heading(stem: str, options: ClosedLoop) -> str:
-    seen = "what its own simulated LiDAR saw" if options.knowledge == "perception" else "everything, as it is"
+    seen = "what their own simulated LiDAR saw" if options.knowledge == "perception" else "everything, as it is"
     return (
         f"# Closed loop in simulated scenes\n\nScenario: {stem}. Planners know {seen}. "
         "Movers follow their script and do not react.\n\n"

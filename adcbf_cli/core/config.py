@@ -259,6 +259,9 @@ class PlanningConfig(StageConfig):
     uncertainty: Literal["none", "sigma", "conformal"] = Field(
         "sigma", description="What the predicted position's uncertainty adds to an obstacle's radius."
     )
+    max_margin_m: NonNegative = Field(
+        0.3, description="It adds at most this: three seconds ahead, someone may be anywhere."
+    )
     hard: bool = Field(False, description="No slack: what cannot be met is infeasible, and counted.")
     fallback: Literal["ladder", "none"] = Field(
         "ladder",

@@ -162,7 +162,7 @@ def test_the_report_pairs_the_planners(campaign: Path) -> None:
     assert not found["planners"]["ad-cbf-mpc"]["differences"]
     text = (campaign / "report.md").read_text()
     assert "| ad-cbf-mpc | 2 | 100 %" in text
-    assert "Scenario: tiny. Planners know what its own simulated LiDAR saw." in text
+    assert "Scenario: tiny. Planners know what their own simulated LiDAR saw." in text
 
 
 def test_two_processes_find_the_same(campaign: Path, tmp_path: Path) -> None:

@@ -35,17 +35,17 @@ class Columns:
         return Columns(self.track_id[which], self.centre_m[which], self.radius_m[which], self.keep_out_m[which])
 
 
-def columns_of(seen: Obstacles, obstacle_set: ObstacleSet, keep_m: float, uncertain: bool) -> Columns:
+def columns_of(seen: Obstacles, obstacle_set: ObstacleSet, keep_m: float, most_margin_m: float) -> Columns:
     """All columns of the obstacles seen.
 
-    keep_m: the vehicle's own radius and the safety distance. uncertain: predicted columns keep the
-    prediction's uncertainty away as well; a held one is where it was measured.
+    keep_m: the vehicle's own radius and the safety distance. most_margin_m: predicted columns keep the
+    prediction's uncertainty away as well, up to this much; a held one is where it was measured.
     """
     keep = np.repeat(seen.radius_m[:, None] + keep_m, seen.position_m.shape[1], axis=1)
     held = Columns(seen.track_id, np.repeat(seen.position_m[:, :1], keep.shape[1], axis=1), seen.radius_m, keep)
     if obstacle_set == "held":
         return held
-    wider = keep + seen.margin_m if uncertain else keep
+    wider = keep + np.minimum(seen.margin_m, most_margin_m)
     predicted = Columns(seen.track_id, seen.position_m, seen.radius_m, wider)
     if obstacle_set == "predicted":
         return predicted

@@ -17,16 +17,13 @@ from adcbf_cli.core.planning.columns import Columns, ObstacleSet, can_bind, colu
 from adcbf_cli.core.planning.merit import barrier_rows, merit, merits, rows_along
 from adcbf_cli.core.planning.planner import Details, Outcome, Plan, Situation
 from adcbf_cli.core.planning.problem import Instance, Problem, Solution, SolverStatus, Weights
-from adcbf_cli.core.planning.sampled import roomiest, sampled_starts, sampled_ways
+from adcbf_cli.core.planning.sampled import room_m, sampled_starts, sampled_ways
 from adcbf_cli.core.planning.solvers.base import make_solver
 from adcbf_cli.core.types import FloatArray, Notes
 from adcbf_cli.core.vehicles.vehicle import Vehicle
 
 STUCK_SHARE = 0.3
 """A plan whose mean speed is below this share of the reference's looks for another way."""
-
-EVADE_ROOM = 2.0
-"""Room beyond this many safety distances does not make a way out better."""
 
 EVADE_GAIN_M = 0.05
 """A way out has to keep this much more room than the solver's plan does."""
@@ -111,15 +108,11 @@ class MpcPlanner:
         return self._braked(scene.situation, plan.details)
 
     def _evading(self, scene: _Scene, poses: FloatArray) -> Plan | None:
-        """Where the plan at these poses comes within the safety distance of what moves: of the last way taken, braking
-        and sampled ways the one that keeps the most room, if it keeps more by EVADE_GAIN_M; else None."""
+        """Where the plan at these poses comes nearer to what moves than it should: of the last way taken, braking and
+        sampled ways the one that keeps the most room, if it keeps EVADE_GAIN_M more; else None."""
         problem, known, situation = self._problem, scene.known, scene.situation
-        moving = np.flatnonzero(np.abs(known.centre_m[:, -1] - known.centre_m[:, 0]).max(axis=1, initial=0.0) > 0.0)
-        safety_m, body_m = self._planning.safety_distance_m, problem.vehicle.body_radius_m
-        if (
-            fallback.surface_m(poses, known.centre_m[moving], known.radius_m[moving], body_m).min(initial=np.inf)
-            >= safety_m
-        ):
+        moving = np.abs(known.centre_m[:, -1] - known.centre_m[:, 0]).max(axis=1, initial=0.0) > 0.0
+        if float(room_m(poses[None], known.centre_m[moving], known.keep_out_m[moving])[0]) >= 0.0:
             return None
         brake = fallback.braking(problem.vehicle, situation, problem.steps, problem.step_s, problem.first_step_s)
         ways = [brake.inputs[None], sampled_ways(problem, situation.inputs)]
@@ -127,8 +120,7 @@ class MpcPlanner:
             ways.insert(0, scene.guesses["shifted"][None])
         inputs = np.concatenate(ways)
         driven, worth = merits(problem, scene.instance, inputs)
-        everything = np.concatenate([poses[None], driven])
-        room = roomiest(problem.vehicle, everything, known.centre_m, known.radius_m, EVADE_ROOM * safety_m)
+        room = room_m(np.concatenate([poses[None], driven]), known.centre_m, known.keep_out_m)
         most = float(room[1:].max())
         if most < float(room[0]) + EVADE_GAIN_M:
             return None
@@ -145,7 +137,7 @@ class MpcPlanner:
         reference = pursuit.horizon(problem.vehicle, path, along_m, pose, problem.steps, problem.step_s)
         followed, aims = starts.follow(problem, path, reference, along_m, pose, situation.inputs)
         keep_m = problem.vehicle.body_radius_m + planning.safety_distance_m
-        known = columns_of(situation.obstacles, self._obstacle_set, keep_m, planning.uncertainty != "none")
+        known = columns_of(situation.obstacles, self._obstacle_set, keep_m, planning.max_margin_m)
         poses = problem.vehicle.roll_out(pose, followed, problem.step_s)
         relevant = known.taken(can_bind(problem, pose, situation.inputs, known))
         columns, dropped = nearest(relevant, poses, planning.max_obstacles)

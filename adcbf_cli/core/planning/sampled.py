@@ -16,7 +16,6 @@ import numpy as np
 from adcbf_cli.core.planning.merit import merits
 from adcbf_cli.core.planning.problem import Instance, Problem
 from adcbf_cli.core.types import FloatArray
-from adcbf_cli.core.vehicles.vehicle import Vehicle
 
 SPEEDS = (0.0, 1 / 3, 2 / 3, 1.0)
 TURNS = (-1.0, -0.5, 0.0, 0.5, 1.0)
@@ -46,14 +45,12 @@ def sampled_starts(problem: Problem, instance: Instance, count: int) -> list[Flo
     return [ways[i] for i in chosen]
 
 
-def roomiest(
-    vehicle: Vehicle, poses: FloatArray, centre_m: FloatArray, radius_m: FloatArray, enough_m: float
-) -> FloatArray:
-    """(K,) smallest surface distance of K ways (K, N + 1, 3) to n obstacles, centres (n, N + 1, 2) and radii (n,),
-    counted up to `enough_m`."""
+def room_m(poses: FloatArray, centre_m: FloatArray, keep_out_m: FloatArray) -> FloatArray:
+    """(K,) by how much K ways (K, N + 1, 3) keep farther from n obstacles than they should, at their worst: centres
+    (n, N + 1, 2), centre distances to keep (n, N + 1). More room than asked for is not better: at most 0."""
     gap = centre_m[None] - poses[:, None, :, :2]
-    room = np.hypot(gap[..., 0], gap[..., 1]) - radius_m[None, :, None] - vehicle.body_radius_m
-    return np.asarray(np.minimum(room.min(axis=(1, 2), initial=np.inf), enough_m))
+    spare = np.hypot(gap[..., 0], gap[..., 1]) - keep_out_m[None]
+    return np.asarray(np.minimum(spare.min(axis=(1, 2), initial=np.inf), 0.0))
 
 
 def sampled_ways(problem: Problem, last: FloatArray) -> FloatArray:

@@ -139,6 +139,7 @@ class Knowledge:
             missing = np.isnan(seen.conformal_m)
             self._notes.count("obstacles_without_conformal_radius", int(missing.any(axis=1).sum()))
             margin = np.where(missing, seen.sigma_m, seen.conformal_m)
+        margin = np.where(seen.is_static[:, None], margin[:, :1], margin)  # what stands does not go astray
         node, share = _place(time_s, seen.step_s, margin.shape[1])
         growth = margin[:, node + 1] - margin[:, node]
         beyond = share > 1.0

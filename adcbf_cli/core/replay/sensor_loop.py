@@ -42,7 +42,8 @@ Done = TypeVar("Done")
 KnowledgeSource = Literal["perception", "perfect"]
 
 SEEN_WITHIN_M = 0.3
-"""A true thing is known from when a track's centre is in it or this near to its surface."""
+"""A true thing is known from when a track's centre is in it or this near to its surface,
+as predicted for its first step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +197,7 @@ class _Senses:
         """Which true things are known now for the first time."""
         if not len(predictions):
             return
-        truth = self._world.at(predictions.stamp_ns)
+        truth = self._world.at(predictions.stamp_ns + round(predictions.step_s * 1e9))
         near = truth.clearance(predictions.position_m[:, 0, :2], 0.0) <= SEEN_WITHIN_M
         for thing in truth.id[near.any(axis=0)].tolist():
             self.known_since_ns.setdefault(self._world.thing_of(thing), stamp_ns)

@@ -19,7 +19,7 @@ ROUND = ("cylinder", "tree")
 """Kinds whose outline in the plane is a circle; the others' is a rectangle."""
 
 
-ROCK_DISCS = 5
+ROCK_DISCS = 7
 """They leave less than 3 cm of a rock's ellipse out, down to one two and a half times as long as wide."""
 
 
@@ -53,8 +53,9 @@ class SimulatedWorld:
     def along(self, stamp_ns: IntArray) -> tuple[FloatArray, FloatArray]:
         """Where every thing will be: centres (m, k, 2) and velocities (m, k, 2) at times (k,), by id."""
         boxes = self._world.truth(np.asarray(stamp_ns, dtype=np.int64))
-        centre = np.array([np.column_stack([box.x_m, box.y_m]) for box in boxes]).reshape(len(boxes), -1, 2)
-        velocity = np.array([np.column_stack([box.vx_mps, box.vy_mps]) for box in boxes]).reshape(len(boxes), -1, 2)
+        shape = (len(boxes), len(stamp_ns), 2)
+        centre = np.array([np.column_stack([box.x_m, box.y_m]) for box in boxes]).reshape(shape)
+        velocity = np.array([np.column_stack([box.vx_mps, box.vy_mps]) for box in boxes]).reshape(shape)
         return centre, velocity
 
     def _joined(self, stamp_ns: int, static: WorldObjects) -> WorldObjects:

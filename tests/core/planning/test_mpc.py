@@ -27,23 +27,23 @@ from tests.core.planning.told import PLANNING, STRAIGHT, VEHICLE, Discs, Says, c
 
 def test_held_obstacles_stay_and_predicted_ones_move() -> None:
     obstacles = seen([(1.0, 2.0, 0.5, 0.0, 0.4), (3.0, 0.0, 0.0, 0.0, 0.2)])
-    held = columns_of(obstacles, "held", 0.5, False)
+    held = columns_of(obstacles, "held", 0.5, 0.0)
     np.testing.assert_array_equal(held.centre_m[0], np.tile([1.0, 2.0], (31, 1)))
     np.testing.assert_allclose(held.keep_out_m[:, 7], [0.9, 0.7])
-    predicted = columns_of(obstacles, "predicted", 0.5, False)
+    predicted = columns_of(obstacles, "predicted", 0.5, 0.0)
     np.testing.assert_allclose(predicted.centre_m[0, 30], [2.5, 2.0])
-    paper = columns_of(obstacles, "paper", 0.5, False)
+    paper = columns_of(obstacles, "paper", 0.5, 0.0)
     assert paper.track_id.tolist() == [0, 1, 0], "what moves twice, what stands once"
     np.testing.assert_array_equal(paper.centre_m[2], held.centre_m[0])
 
 
 def test_uncertainty_widens_predicted_columns_only() -> None:
     obstacles = replace(seen([(1.0, 2.0, 0.5, 0.0, 0.4)]), margin_m=np.linspace(0.1, 0.4, 31)[None])
-    wide = columns_of(obstacles, "paper", 0.5, True)
+    wide = columns_of(obstacles, "paper", 0.5, 1.0)
     np.testing.assert_allclose(wide.keep_out_m[0, [0, -1]], [1.0, 1.3])
     np.testing.assert_allclose(wide.keep_out_m[1], 0.9)
-    np.testing.assert_allclose(columns_of(obstacles, "predicted", 0.5, False).keep_out_m, 0.9)
-    np.testing.assert_allclose(columns_of(obstacles, "held", 0.5, True).keep_out_m, 0.9)
+    np.testing.assert_allclose(columns_of(obstacles, "predicted", 0.5, 0.0).keep_out_m, 0.9)
+    np.testing.assert_allclose(columns_of(obstacles, "held", 0.5, 1.0).keep_out_m, 0.9)
 
 
 @settings(max_examples=150, deadline=None)
@@ -62,7 +62,7 @@ def test_what_cannot_bind_never_does(
     seed: int,
 ) -> None:
     problem = problem_of(VEHICLE, PLANNING, Barrier(gamma))
-    columns = columns_of(seen([(*place, *velocity, radius)]), "predicted", 0.5, False)
+    columns = columns_of(seen([(*place, *velocity, radius)]), "predicted", 0.5, 0.0)
     if can_bind(problem, np.zeros(3), np.zeros(2), columns)[0]:
         return
     rng = np.random.default_rng(seed)
@@ -76,7 +76,7 @@ def test_only_what_is_far_is_left_out() -> None:
     problem = problem_of(VEHICLE, PLANNING, Barrier(FixedGamma(1.0)))
     # Top speed is 1 m/s over 3 s, keep-out 0.9 m: 3.95 m is out of reach, 3.85 m is not, nor is what comes.
     columns = columns_of(
-        seen([(3.85, 0, 0, 0, 0.4), (3.95, 0, 0, 0, 0.4), (5.0, 0, -1, 0, 0.4)]), "predicted", 0.5, False
+        seen([(3.85, 0, 0, 0, 0.4), (3.95, 0, 0, 0, 0.4), (5.0, 0, -1, 0, 0.4)]), "predicted", 0.5, 0.0
     )
     assert can_bind(problem, np.zeros(3), np.zeros(2), columns).tolist() == [True, False, True]
     printed = problem_of(VEHICLE, PLANNING, Barrier(FixedGamma(0.1), form="printed"))
@@ -89,7 +89,7 @@ def test_whether_an_obstacle_can_bind_is_its_own_affair() -> None:
     rng = np.random.default_rng(2)
     discs = np.column_stack([rng.uniform(-9, 9, (40, 2)), rng.normal(0, 1, (40, 2)), rng.uniform(0.1, 1, 40)])
     pose, last = np.array([0.5, -0.3, 1.0]), np.array([0.6, 0.1])
-    columns = columns_of(seen([tuple(disc) for disc in discs.tolist()]), "predicted", 0.5, False)
+    columns = columns_of(seen([tuple(disc) for disc in discs.tolist()]), "predicted", 0.5, 0.0)
     together = can_bind(problem, pose, last, columns)
     alone = [bool(can_bind(problem, pose, last, columns.taken(np.array([i])))[0]) for i in range(40)]
     assert together.tolist() == alone
@@ -100,7 +100,7 @@ def test_whether_an_obstacle_can_bind_is_its_own_affair() -> None:
 def test_the_nearest_over_the_horizon_are_kept_with_all_their_columns() -> None:
     # The third is far now and near later; the second is near now and leaves.
     obstacles = seen([(1.0, 0.8, 0, 0, 0.3), (-1.5, 0, -1.5, 0, 0.3), (5.0, 1.0, -1.5, 0, 0.3)])
-    columns = columns_of(obstacles, "paper", 0.5, False)
+    columns = columns_of(obstacles, "paper", 0.5, 0.0)
     poses = VEHICLE.roll_out(np.zeros(3), np.tile([0.75, 0.0], (30, 1)), 0.1)
     kept, dropped = nearest(columns, poses, 2)
     assert sorted(kept.track_id.tolist()) == [0, 2, 2]

@@ -12,14 +12,14 @@ from adcbf_cli.core.planning.merit import merit, merits
 from adcbf_cli.core.planning.mpc import problem_of
 from adcbf_cli.core.planning.planner import Outcome
 from adcbf_cli.core.planning.problem import Instance, Problem
-from adcbf_cli.core.planning.sampled import APART_M, roomiest, sampled_starts
+from adcbf_cli.core.planning.sampled import APART_M, room_m, sampled_starts
 from tests.core.planning.told import PLANNING, VEHICLE, Discs, constant, seen, situation, told
 
 
 def scene(discs: Discs, barrier: Barrier | None = None) -> tuple[Problem, Instance]:
     """Driving along x at 0.75 m/s, with these discs."""
     problem = problem_of(VEHICLE, PLANNING, barrier or Barrier(AdaptiveGamma()))
-    columns = columns_of(seen(discs), "predicted", 0.5, False)
+    columns = columns_of(seen(discs), "predicted", 0.5, 0.0)
     along = 0.75 * problem.step_s * np.arange(problem.steps + 1)
     reference = np.column_stack([along, *np.zeros((2, 31)), np.full(31, 0.75), np.zeros(31)])
     last = np.array([0.75, 0.1])
@@ -117,10 +117,10 @@ def test_a_planner_that_holds_what_moves_has_nothing_to_evade() -> None:
     assert plan.details.start != "evading"
 
 
-def test_room_counts_up_to_what_is_enough() -> None:
+def test_room_is_what_is_missing_at_the_worst() -> None:
     poses = np.zeros((2, 3, 3))
     poses[1, :, 1] = -1.0
     centre = np.array([[[1.0, 0.0], [0.9, 0.0], [0.8, 0.0]]])
-    room = roomiest(VEHICLE, poses, centre, np.array([0.2]), 0.4)
-    np.testing.assert_allclose(room, [0.3, 0.4])
-    assert roomiest(VEHICLE, poses, np.zeros((0, 3, 2)), np.zeros(0), 0.4).tolist() == [0.4, 0.4]
+    keep_out = np.array([[0.7, 0.8, 0.9]])
+    np.testing.assert_allclose(room_m(poses, centre, keep_out), [-0.1, 0.0])
+    assert room_m(poses, np.zeros((0, 3, 2)), np.zeros((0, 3))).tolist() == [0.0, 0.0]
