@@ -73,11 +73,17 @@ def test_margins(predicted: Make) -> None:
 
 def test_a_missing_conformal_radius_is_sigmas_and_counted(predicted: Make) -> None:
     notes = Notes()
-    record = predicted(0, [[1.0, 0.0], [2.0, 0.0]], [[0, 0], [0, 0]])
+    record = predicted(0, [[1.0, 0.0], [2.0, 0.0]], [[1, 0], [1, 0]])
     record.conformal_radius_m[0] = np.nan
     margin = knowledge(record, notes=notes).obstacles(0, np.zeros(2), 10.0, 2, 0.1, "conformal").margin_m
     np.testing.assert_allclose(margin, [[0.1, 0.1, 0.2], [0.2, 0.2, 0.4]])
     assert notes.counters == {"obstacles_without_conformal_radius": 1}
+
+
+def test_what_stands_keeps_the_first_steps_margin(predicted: Make) -> None:
+    record = predicted(0, [[1.0, 0.0], [2.0, 0.0]], [[0, 0], [1, 0]])
+    margin = knowledge(record).obstacles(0, np.zeros(2), 10.0, 2, 0.1, "sigma").margin_m
+    np.testing.assert_allclose(margin, [[0.1, 0.1, 0.1], [0.1, 0.1, 0.2]])
 
 
 def test_old_predictions_are_carried_on_and_counted(predicted: Make) -> None:
