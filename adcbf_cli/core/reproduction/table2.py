@@ -209,8 +209,10 @@ def _text_of_settings(document: Document) -> str:
         f"{planning['safety_distance_m']:g} m, N = {planning['steps']} steps of {planning['step_s']:g} s, planned at "
         f"{planning['rate_hz']:g} Hz; scans at 10 Hz, cropped to {2 * perception['range_m']:g} x "
         f"{2 * perception['range_m']:g} m; gamma = {planning['gamma_fixed']:g} where it is fixed, from "
-        f"{planning['gamma_floor']:g} on where it is adaptive; fallback ladder on for all five; everything else the "
-        "package's defaults. What was tried out while this package was made was tried on seeds from 100000 up."
+        f"{planning['gamma_floor']:g} on where it is adaptive. Not in the paper: the fallback ladder and up to "
+        f"{planning['starts']} starts for all five, and, for the two that predict, margins of up to "
+        f"{planning['max_margin_m']:g} m for the prediction's uncertainty (`{planning['uncertainty']}`) and stepping "
+        "aside where a plan would be run over. Everything else is at the package's defaults. What was tried out while this package was made was tried on seeds from 100000 up."
     )
 
 
