@@ -66,14 +66,18 @@ class _OdometrySample(NamedTuple):
 
 
 def _odometry(simulator: Simulator) -> Iterator[_OdometrySample]:
-    """Odometry samples up to the last but one, with velocities as the change to the next."""
+    """Odometry samples with velocities as the change to the next. A script's last sample is there for that only; a
+    drive's is written too, with the velocity before: its last scan is placed by it."""
     stamps = simulator.odometry_ns
     pose = simulator.odom_from_base(stamps)
     seconds = np.diff(stamps) / 1e9
     speed = np.linalg.norm(np.diff(pose[:, :3, 3], axis=0), axis=1) / seconds
     turn = wrap_angle(np.diff(np.arctan2(pose[:, 1, 0], pose[:, 0, 0]))) / seconds
-    for index, stamp in enumerate(stamps[:-1]):
-        yield _OdometrySample(int(stamp), pose[index], float(speed[index]), float(turn[index]))
+    if len(stamps) == 1:  # it collided where it stood
+        speed = turn = np.zeros(1)
+    for index, stamp in enumerate(stamps[:-1] if simulator.scripted else stamps):
+        known = min(index, len(speed) - 1)
+        yield _OdometrySample(int(stamp), pose[index], float(speed[known]), float(turn[known]))
 
 
 def _write_odometry(log: LogWriter, sample: _OdometrySample) -> None:

@@ -212,7 +212,8 @@ def _text_of_settings(document: Document) -> str:
         f"{planning['gamma_floor']:g} on where it is adaptive. Not in the paper: the fallback ladder and up to "
         f"{planning['starts']} starts for all five, and, for the two that predict, margins of up to "
         f"{planning['max_margin_m']:g} m for the prediction's uncertainty (`{planning['uncertainty']}`) and stepping "
-        "aside where a plan would be run over. Everything else is at the package's defaults. What was tried out while this package was made was tried on seeds from 100000 up."
+        "aside where a plan would be run over. Everything else is at the package's defaults. "
+        "What was tried out while this package was made was tried on seeds from 100000 up."
     )
 
 

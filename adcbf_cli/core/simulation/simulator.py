@@ -51,7 +51,8 @@ class SimulatedScan:
 class Simulator:
     """A scenario and seed, ready to run. `seed` None takes the scenario's own; `motion` None its own ego.
 
-    A motion may still grow: `scan` and `odom_from_base` answer for what lies before its end.
+    scripted: whether the ego is the scenario's own. A motion may still grow: `scan` and `odom_from_base` answer for
+    what lies before its end.
     """
 
     def __init__(self, scenario: Scenario, seed: int | None = None, motion: EgoMotion | None = None) -> None:
@@ -61,7 +62,7 @@ class Simulator:
         self.pattern = firing_pattern(scenario.lidar)
         self.base_from_sensor = base_from_sensor(scenario.lidar.mount)
         self._motion: EgoMotion = ScriptedMotion(scenario) if motion is None else motion
-        self._scripted = motion is None
+        self.scripted = motion is None
         self._odometry_step_ns = round(NS_PER_S / scenario.odometry.rate_hz)
         self._mount = pose_matrix(*_as_recorded(self.base_from_sensor))
         self._odometry_ns: list[int] = []
@@ -74,7 +75,7 @@ class Simulator:
     def scans(self) -> int:
         """How many scans end before the motion does."""
         length_ns = self._motion.end_ns - self.world.start_ns
-        if self._scripted:
+        if self.scripted:
             return length_ns // self.pattern.period_ns
         count = max(0, (length_ns - int(self.pattern.offset_ns.max())) // self.pattern.period_ns + 1)
         while count and self._until_pose_ns(count - 1) > length_ns:
@@ -158,7 +159,7 @@ class Simulator:
         """Takes the odometry's samples up to the motion's end."""
         step_ns, start_ns = self._odometry_step_ns, self.world.start_ns
         length_ns = self._motion.end_ns - start_ns
-        count = -(-length_ns // step_ns) + 2 if self._scripted else length_ns // step_ns + 1
+        count = -(-length_ns // step_ns) + 2 if self.scripted else length_ns // step_ns + 1
         if count <= len(self._odometry_ns):
             return
         new = start_ns + np.arange(len(self._odometry_ns), count, dtype=np.int64) * step_ns
