@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import difflib
-from importlib import resources
 from pathlib import Path
 
 from adcbf_cli.core.errors import UsageError
+from adcbf_cli.scenarios import scenario_names, scenario_text
 
 MAX_READ_CHARACTERS = 1_000_001
 """One more than a scenario may have: enough to tell that it is too long."""
-
-
-def scenario_names() -> list[str]:
-    """The scenarios that come with the package."""
-    folder = resources.files("adcbf_cli") / "scenarios"
-    return sorted(Path(entry.name).stem for entry in folder.iterdir() if entry.name.endswith(".yaml"))
 
 
 def read_scenario(name_or_path: str) -> tuple[str, str]:
@@ -24,8 +18,7 @@ def read_scenario(name_or_path: str) -> tuple[str, str]:
     path = Path(name_or_path)
     names = scenario_names()
     if name_or_path in names and not path.is_file():
-        text = (resources.files("adcbf_cli") / "scenarios" / f"{name_or_path}.yaml").read_text(encoding="utf-8")
-        return text, name_or_path
+        return scenario_text(name_or_path), name_or_path
     try:
         with path.open(encoding="utf-8") as stream:
             return stream.read(MAX_READ_CHARACTERS), path.stem

@@ -24,8 +24,9 @@ from adcbf_cli.core.reproduction.ablations_cases import (
     tasks_of,
 )
 from adcbf_cli.core.reproduction.ablations_text import markdown
-from adcbf_cli.core.reproduction.drives import PLANNERS, drive, packaged_scene
+from adcbf_cli.core.reproduction.drives import PLANNERS, drive
 from adcbf_cli.core.reproduction.part import Document, Part, Row
+from adcbf_cli.scenarios import scenario_text
 
 MEASURES = (
     "success",
@@ -130,5 +131,5 @@ PART = Part(
     summarise=summarise,
     markdown=markdown,
     figure=True,
-    settings={"scene": packaged_scene(SCENE), "config": Config().model_dump(mode="json")},
+    settings={"scene": scenario_text(SCENE), "config": Config().model_dump(mode="json")},
 )

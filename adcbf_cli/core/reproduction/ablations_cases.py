@@ -8,7 +8,8 @@ from typing import Any
 
 from adcbf_cli.core.evaluation.scene_runs import SceneTask
 from adcbf_cli.core.replay.sensor_loop import KnowledgeSource
-from adcbf_cli.core.reproduction.drives import OURS, PLANNERS, config_with, packaged_scene
+from adcbf_cli.core.reproduction.drives import OURS, PLANNERS, config_with
+from adcbf_cli.scenarios import scenario_text
 
 SCENE = "crossings"
 SPEED_RANGE = "speed_mps: {uniform: [0.2, 1.5]}"
@@ -35,7 +36,7 @@ class Variant:
         return " ".join([self.planner, self.knowledge, *settings, *speed])
 
     def task(self, seed: int) -> SceneTask:
-        text = packaged_scene(SCENE)
+        text = scenario_text(SCENE)
         if self.speed_mps is not None:
             text = at_one_speed(text, self.speed_mps)
         return SceneTask(text, SCENE, seed, self.planner, config_with(self.settings), self.knowledge)

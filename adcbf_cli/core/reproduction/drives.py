@@ -4,7 +4,6 @@ means and differences are written."""
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from importlib import resources
 from typing import Any
 
 from adcbf_cli.core.config import Config
@@ -14,11 +13,6 @@ from adcbf_cli.core.reproduction.part import Row
 OURS = "ad-cbf-mpc"
 PLANNERS = ("mpc-dc", "mpc-cbf", "d-cbf-mpc", "a-cbf-mpc", OURS)
 """In the order of Table II."""
-
-
-def packaged_scene(name: str) -> str:
-    """The YAML of a scenario that comes with the package."""
-    return (resources.files("adcbf_cli") / "scenarios" / f"{name}.yaml").read_text(encoding="utf-8")
 
 
 def drive(task: SceneTask) -> Row:

@@ -15,12 +15,13 @@ from adcbf_cli.core.evaluation.scene_runs import PATH_STEP_S, SceneTask
 from adcbf_cli.core.replay.simulated_world import SimulatedWorld
 from adcbf_cli.core.replay.world import WorldObjects
 from adcbf_cli.core.reproduction import table2
-from adcbf_cli.core.reproduction.drives import OURS, drive, packaged_scene
+from adcbf_cli.core.reproduction.drives import OURS, drive
 from adcbf_cli.core.reproduction.part import Document, Part, Row, table
 from adcbf_cli.core.simulation.parsing import parse_scenario
 from adcbf_cli.core.simulation.paths import route_points
 from adcbf_cli.core.simulation.world import NS_PER_S, World
 from adcbf_cli.core.types import FloatArray
+from adcbf_cli.scenarios import scenario_text
 
 MET_M = 2.0
 """A mover that the drawn planner never came nearer to than this, surface to surface, is drawn where it ends."""
@@ -33,7 +34,7 @@ def tasks(seeds: Sequence[int]) -> dict[str, SceneTask]:
 
 def summarise(rows: Sequence[Row]) -> Document:
     seed = int(rows[0]["seed"])
-    scenario = parse_scenario(packaged_scene(table2.SCENE), table2.SCENE, seed)
+    scenario = parse_scenario(scenario_text(table2.SCENE), table2.SCENE, seed)
     world = SimulatedWorld(World(scenario, seed))
     assert scenario.route is not None
     route = route_points(scenario.route)

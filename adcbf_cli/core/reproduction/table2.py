@@ -20,11 +20,11 @@ from adcbf_cli.core.reproduction.drives import (
     drive,
     mean_cell,
     number_cell,
-    packaged_scene,
     rate_cell,
 )
 from adcbf_cli.core.reproduction.part import Document, Part, Row, seed_text, table
 from adcbf_cli.core.reproduction.table2_claims import MEASURES, PAPER, claims_table, comparisons_table, judge
+from adcbf_cli.scenarios import scenario_text
 
 SCENE = "unstructured"
 ENDS = ("success", "collision", "avoidable_collision", "timeout", "freeze")
@@ -32,7 +32,7 @@ ENDS = ("success", "collision", "avoidable_collision", "timeout", "freeze")
 
 def tasks(seeds: Sequence[int]) -> dict[str, SceneTask]:
     """Seed by seed, so that runs that stop half-way have all planners of the scenes that they had."""
-    text = packaged_scene(SCENE)
+    text = scenario_text(SCENE)
     made = [SceneTask(text, SCENE, seed, planner, Config()) for seed in seeds for planner in PLANNERS]
     return {task.run_id: task for task in made}
 
@@ -224,5 +224,5 @@ PART = Part(
     run=drive,
     summarise=summarise,
     markdown=markdown,
-    settings={"scene": packaged_scene(SCENE), "config": _settings()},
+    settings={"scene": scenario_text(SCENE), "config": _settings()},
 )

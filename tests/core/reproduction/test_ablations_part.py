@@ -20,10 +20,11 @@ from adcbf_cli.core.reproduction.ablations_cases import (
     at_speeds,
     tasks_of,
 )
-from adcbf_cli.core.reproduction.drives import PLANNERS, packaged_scene
+from adcbf_cli.core.reproduction.drives import PLANNERS
 from adcbf_cli.core.simulation.parsing import parse_scenario
 from adcbf_cli.core.types import Notes
 from adcbf_cli.core.vehicles.vehicle import Vehicle
+from adcbf_cli.scenarios import scenario_text
 from tests.core.reproduction.runs_of_scenes import a_run
 
 SEED = 100_000
@@ -31,7 +32,7 @@ BASE = Variant("ad-cbf-mpc")
 
 
 def test_one_speed_is_all_that_changes():
-    text = packaged_scene("crossings")
+    text = scenario_text("crossings")
     drawn, slow = (parse_scenario(each, "crossings", SEED) for each in (text, at_one_speed(text, 0.3)))
     assert {mover.path.speed_mps for mover in slow.movers} == {0.3}
     assert len({mover.path.speed_mps for mover in drawn.movers}) > 1
@@ -140,7 +141,7 @@ def test_a_planner_breaks_where_more_than_half_of_its_runs_collide():
 def test_a_run_keeps_its_variant_and_no_way():
     """A run of the shortest kind: the scene's own drive, cut to a metre."""
     text = (
-        packaged_scene("crossings")
+        scenario_text("crossings")
         .replace("length_m: {uniform: [9, 10]}", "length_m: 2.5")
         .replace("- repeat: {integer: [1, 5]}", "- repeat: 0")
     )

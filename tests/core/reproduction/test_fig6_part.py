@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from adcbf_cli.core.reproduction import fig6
-from adcbf_cli.core.reproduction.drives import packaged_scene
 from adcbf_cli.core.simulation.parsing import parse_scenario
+from adcbf_cli.scenarios import scenario_text
 from tests.core.reproduction.runs_of_scenes import a_run
 
 SEED = 100_000
@@ -17,7 +17,7 @@ SEED = 100_000
 
 @pytest.fixture(scope="module")
 def scenario() -> Any:
-    return parse_scenario(packaged_scene("unstructured"), "unstructured", SEED)
+    return parse_scenario(scenario_text("unstructured"), "unstructured", SEED)
 
 
 @pytest.fixture(scope="module")
