@@ -10,6 +10,7 @@ import typer
 
 from adcbf_cli.commands.closed_loop import ClosedLoop, run_closed_loop
 from adcbf_cli.commands.options import shared_options
+from adcbf_cli.commands.terminal import print_json, print_table, progress
 
 
 @shared_options
@@ -55,13 +56,8 @@ def simulate(
 
         adcbf simulate crossings --closed-loop --seeds 0:1000 --jobs 8
     """
-    from adcbf_cli.commands.terminal import print_json, print_table, progress
     from adcbf_cli.core.errors import UsageError
-    from adcbf_cli.core.simulation.parsing import parse_scenario
-    from adcbf_cli.core.simulation.simulator import Simulator
-    from adcbf_cli.io.atomic import atomic_path
     from adcbf_cli.io.scenarios import read_scenario
-    from adcbf_cli.io.simulation_log import write_log, write_scan_truth
 
     text, stem = read_scenario(scenario)
     if options.closed_loop:
@@ -71,15 +67,33 @@ def simulate(
         return
     if options.stray():
         raise UsageError(f"{options.stray()[0]} needs --closed-loop")
-    simulator = Simulator(parse_scenario(text, stem, seed), seed)
     log = output if output is not None else Path(f"{stem}.mcap")
-    _check_targets(Path(scenario), log, truth)
+    summary = _write_scripted(text, stem, seed, Path(scenario), log, truth)
+    if json_output:
+        print_json(summary)
+    else:
+        print_table(
+            "Simulated", ("what", "value"), [(key, str(value)) for key, value in summary.items() if value is not None]
+        )
+
+
+def _write_scripted(
+    text: str, stem: str, seed: int | None, scenario: Path, log: Path, truth: Path | None
+) -> dict[str, Any]:
+    """The log of the scenario's own ego, and its truth if asked; what was written, for the user."""
+    from adcbf_cli.core.simulation.parsing import parse_scenario
+    from adcbf_cli.core.simulation.simulator import Simulator
+    from adcbf_cli.io.atomic import atomic_path
+    from adcbf_cli.io.simulation_log import write_log, write_scan_truth
+
+    simulator = Simulator(parse_scenario(text, stem, seed), seed)
+    _check_targets(scenario, log, truth)
     scans = progress(simulator, simulator.scans, "simulate")
     with ExitStack() as together:
         if truth is not None:  # renamed after the log is, so that the two are never long of different runs
             write_scan_truth(together.enter_context(atomic_path(truth)), simulator)
         points = write_log(log, simulator, scans)
-    summary: dict[str, Any] = {
+    return {
         "log": str(log),
         "truth": None if truth is None else str(truth),
         "seed": simulator.seed,
@@ -88,12 +102,6 @@ def simulate(
         "objects": len(simulator.world.movers) + len(simulator.world.statics),
         "bytes": log.stat().st_size,
     }
-    if json_output:
-        print_json(summary)
-    else:
-        print_table(
-            "Simulated", ("what", "value"), [(key, str(value)) for key, value in summary.items() if value is not None]
-        )
 
 
 def _check_targets(scenario: Path, log: Path, truth: Path | None) -> None:

@@ -8,10 +8,9 @@ import numpy as np
 
 from adcbf_cli.core.simulation.paths import ego_path, motion_along
 from adcbf_cli.core.simulation.scenario import Scenario
+from adcbf_cli.core.simulation.world import NS_PER_S
 from adcbf_cli.core.types import FloatArray, IntArray
 from adcbf_cli.core.vehicles.vehicle import Vehicle
-
-NS_PER_S = 1_000_000_000
 
 
 class EgoMotion(Protocol):
