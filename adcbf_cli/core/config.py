@@ -8,7 +8,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from adcbf_cli.core.errors import UsageError
 
 Positive = Annotated[float, Field(gt=0, le=1e6)]
 NonNegative = Annotated[float, Field(ge=0, le=1e6)]
@@ -17,6 +20,28 @@ AtLeastThousandth = Annotated[float, Field(ge=1e-3, le=1e6)]
 seconds, as nanoseconds and times a thousand steps, within int64."""
 
 Probability = Annotated[float, Field(gt=0, lt=1)]
+
+CLUSTERERS = ("hdbscan", "dbscan")
+MOTION_MODELS = ("cv", "ca", "ct")
+"""Those built in; installed packages may offer more (`core.plugins`)."""
+
+
+def _known_clusterer(name: str) -> str:
+    return name if name in CLUSTERERS else _offered("CLUSTERER", name, CLUSTERERS)
+
+
+def _known_motion_model(name: str) -> str:
+    return name if name in MOTION_MODELS else _offered("MOTION_MODEL", name, MOTION_MODELS)
+
+
+def _offered(kind: str, name: str, built_in: tuple[str, ...]) -> str:
+    """The name, if exactly one installed package offers it. Packages are looked through for strange names only."""
+    from adcbf_cli.core.plugins import Kind, find_plugin
+
+    try:
+        return find_plugin(Kind[kind], name, built_in).name
+    except UsageError as error:
+        raise PydanticCustomError("unknown_name", "{reason}", {"reason": str(error)}) from None
 
 
 class StageConfig(BaseModel):
@@ -68,7 +93,9 @@ class PerceptionConfig(StageConfig):
     )
     ground_clearance_m: NonNegative = Field(0.15, description="Points this little above the local ground are ground.")
     cell_m: AtLeastThousandth = Field(0.1, description="Side of the grid cells that thin the cloud.")
-    clusterer: Literal["hdbscan", "dbscan"] = "hdbscan"
+    clusterer: Annotated[str, AfterValidator(_known_clusterer)] = Field(
+        "hdbscan", description="hdbscan, dbscan, or one that an installed package offers.", examples=[*CLUSTERERS]
+    )
     min_cluster_size: Annotated[int, Field(ge=2)] = Field(
         5, description="Grid cells of the smallest obstacle, or as many returns in two or more cells."
     )
@@ -105,8 +132,11 @@ class TrackingConfig(StageConfig):
     """From obstacles to tracks."""
 
     filter: Literal["ukf", "ekf", "kf"] = "ukf"
-    model: Literal["cv", "ca", "ct"] = Field(
-        "cv", description="Constant velocity, constant acceleration, coordinated turn."
+    model: Annotated[str, AfterValidator(_known_motion_model)] = Field(
+        "cv",
+        description="Constant velocity, constant acceleration, coordinated turn, or one that an installed package "
+        "offers.",
+        examples=[*MOTION_MODELS],
     )
     ukf_alpha: Positive = 0.001
     ukf_beta: NonNegative = 2.0

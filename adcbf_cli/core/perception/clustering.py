@@ -139,7 +139,7 @@ def dbscan(
 
     sizes = np.bincount(label[label >= 0], minlength=n)
     label[(label >= 0) & (sizes[np.maximum(label, 0)] < min_cluster_size)] = NO_ID
-    label = _in_order_of_appearance(label)
+    label = in_order_of_appearance(label)
     grouping = Grouping(label, (label != NO_ID).astype(np.float64))
     return grouping if returns is None else _with_small(grouping, points_m, returns, eps_m, min_cluster_size)
 
@@ -165,7 +165,7 @@ def _with_small(
     found = enough[group]
     label[noise[found]] = label.max() + 1 + group[found]
     probability[noise[found]] = 1.0
-    return Grouping(_in_order_of_appearance(label), probability)
+    return Grouping(in_order_of_appearance(label), probability)
 
 
 def _all_noise(n: int) -> Grouping:
@@ -306,10 +306,10 @@ def _label(tree: _CondensedTree, selected: list[bool]) -> Grouping:
     taken_by = owner[tree.point_cluster]
     death = np.array([*tree.death, 1.0])[taken_by]
     probability = np.minimum(tree.point_lambda / death, 1.0)
-    return Grouping(_in_order_of_appearance(taken_by), np.where(taken_by == NO_ID, 0.0, probability))
+    return Grouping(in_order_of_appearance(taken_by), np.where(taken_by == NO_ID, 0.0, probability))
 
 
-def _in_order_of_appearance(label: IntArray) -> IntArray:
+def in_order_of_appearance(label: IntArray) -> IntArray:
     """Clusters renumbered from 0 by their first point."""
     found, where = np.unique(label[label != NO_ID], return_index=True)
     rank = np.empty(len(found), dtype=np.int64)

@@ -19,8 +19,9 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from adcbf_cli.core.config import PerceptionConfig
+from adcbf_cli.core.config import CLUSTERERS, PerceptionConfig
 from adcbf_cli.core.frames import level_rotation, transform_points
+from adcbf_cli.core.perception.clusterers import plugin_clusterer
 from adcbf_cli.core.perception.clustering import Grouping, dbscan, hdbscan
 from adcbf_cli.core.perception.grid import Cells, not_outlying, occupied_cells
 from adcbf_cli.core.perception.ground import GroundRemoval
@@ -37,6 +38,7 @@ class Perception:
         self._config = config
         self._timer = timer
         self._ground = GroundRemoval(config, notes)
+        self._plugin = None if config.clusterer in CLUSTERERS else plugin_clusterer(config.clusterer)
 
     def __call__(self, frame: Frame) -> Clusters:
         """The frame's obstacles, nearest first."""
@@ -102,6 +104,8 @@ class Perception:
         config = self._config
         smallest = self._min_cluster_size(planar)
         returns = None if planar else cells.returns()
+        if self._plugin is not None:
+            return self._plugin(cells.mean_m, config, smallest, returns)
         if config.clusterer == "dbscan":
             return dbscan(
                 cells.mean_m,

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 from adcbf_cli.core.config import PlanningConfig
-from adcbf_cli.core.errors import UsageError
 from adcbf_cli.core.planning.barrier import AdaptiveGamma, Barrier, FixedGamma, check_barrier
 from adcbf_cli.core.planning.dynamic_window import DynamicWindow
 from adcbf_cli.core.planning.mpc import MpcPlanner
@@ -79,12 +77,22 @@ PLANNERS: dict[str, Factory] = {
 
 
 def make_planner(name: str, vehicle: Vehicle, planning: PlanningConfig, notes: Notes) -> Planner:
-    """A new planner called `name`, without memory of any drive.
+    """A new planner called `name`, built in or of an installed package, without memory of any drive.
 
     Raises UsageError for an unknown name, and for settings that its barrier cannot have.
     """
     if name not in PLANNERS:
-        close = difflib.get_close_matches(name.lower(), PLANNERS, n=1, cutoff=0.5)
-        hint = f"did you mean {close[0]}? " if close else ""
-        raise UsageError(f"no planner is called {name!r}; {hint}there are {', '.join(PLANNERS)}")
+        return _plugin_planner(name, vehicle, planning, notes)
     return PLANNERS[name](name, vehicle, planning, notes)
+
+
+def _plugin_planner(name: str, vehicle: Vehicle, planning: PlanningConfig, notes: Notes) -> Planner:
+    from adcbf_cli.core.plugins import Kind, find_plugin, load_plugin, malformed
+
+    plugin = find_plugin(Kind.PLANNER, name, PLANNERS)
+    planner: Planner = load_plugin(plugin)(name, vehicle, planning, notes)
+    if not callable(getattr(planner, "plan", None)):
+        raise malformed(plugin, "what it makes has no method `plan`")
+    if getattr(planner, "name", None) != name:
+        raise malformed(plugin, f"what it makes does not say `name` {name!r}, which results are kept under")
+    return planner

@@ -8,12 +8,12 @@ highest derivative, so that one long step and several short ones add the same am
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
-from adcbf_cli.core.config import TrackingConfig
+from adcbf_cli.core.config import MOTION_MODELS, TrackingConfig
 from adcbf_cli.core.types import FloatArray
 
 SMALL_ANGLE_RAD = 1e-4
@@ -23,7 +23,7 @@ SMALL_ANGLE_RAD = 1e-4
 class MotionModel:
     """One motion model.
 
-    propagate: states (n, d), dt in s -> (n, d). jacobian: the same arguments -> (n, d, d), or
+    propagate: states (..., d), dt in s -> (..., d). jacobian: states (n, d), dt -> (n, d, d), or
     (d, d) for a linear model, for which it is the transition matrix itself.
     process_noise: dt -> (d, d), of an obstacle that manoeuvres.
     initial_variance: (d,) of a new track; its positions are zero, as the measurement gives them.
@@ -39,7 +39,10 @@ class MotionModel:
 
 
 def build_motion_model(config: TrackingConfig, planar: bool) -> MotionModel:
-    """The model named by `config.model`. For a planar laser the vertical noise is zero."""
+    """The model named by `config.model`, built in or of an installed package. For a planar laser the vertical noise
+    is zero. Raises UsageError for a package's model that cannot be had, or does not fit."""
+    if config.model not in MOTION_MODELS:
+        return _plugin_model(config, planar)
     vertical = 0.0 if planar else config.vertical_ratio
     density = np.array([1.0, 1.0, vertical**2])
     speed = config.sigma_speed_mps * np.array([1.0, 1.0, max(0.1 * vertical, 1e-3)])
@@ -73,6 +76,28 @@ def build_motion_model(config: TrackingConfig, planar: bool) -> MotionModel:
         process_noise=lambda dt: _white_noise(2, dt, config.sigma_accel_mps2**2 * density),
         initial_variance=np.concatenate([np.zeros(3), speed**2]),
     )
+
+
+def _plugin_model(config: TrackingConfig, planar: bool) -> MotionModel:
+    """A package's model, under the name that it was asked for by, tried on two states."""
+    from adcbf_cli.core.errors import UsageError
+    from adcbf_cli.core.plugins import Kind, find_plugin, load_plugin, malformed
+
+    plugin = find_plugin(Kind.MOTION_MODEL, config.model, MOTION_MODELS)
+    model: MotionModel = load_plugin(plugin)(config, planar)
+    d = model.dimension
+    if d < 6 or np.shape(model.initial_variance) != (d,):
+        raise malformed(plugin, f"initial_variance {np.shape(model.initial_variance)} for a state of {d} (at least 6)")
+    states = np.zeros((2, d))
+    if any(np.shape(model.propagate(np.zeros(shape), 0.1)) != shape for shape in ((2, d), (2, 3, d))):
+        raise malformed(plugin, f"propagate must turn states (n, {d}), and (n, m, {d}), into as many")
+    if np.shape(model.jacobian(states, 0.1)) != ((d, d) if model.linear else (2, d, d)):
+        raise malformed(plugin, f"jacobian of states {(2, d)} must be {(d, d)} where linear, else {(2, d, d)}")
+    if np.shape(model.process_noise(0.1)) != (d, d):
+        raise malformed(plugin, f"process_noise must be {(d, d)}")
+    if config.filter == "kf" and not model.linear:
+        raise UsageError(f"filter 'kf' needs a linear motion model, which {plugin} is not; take 'ukf' or 'ekf'")
+    return replace(model, name=config.model)
 
 
 def _transition_matrix(derivatives: int, dt: float) -> FloatArray:

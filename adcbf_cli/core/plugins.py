@@ -1,0 +1,106 @@
+"""Planners, clusterers and motion models of other packages, found by the entry points they declare.
+
+A package that declares, in its pyproject.toml,
+
+    [project.entry-points."adcbf.planners"]
+    creep = "my_package.planners:make_creep"
+
+adds the planner `creep`. What is built in needs no look-up and is never replaced; a package is imported only
+when a name of its is asked for, so that a broken one disturbs nobody else.
+"""
+
+from __future__ import annotations
+
+import difflib
+import enum
+from collections.abc import Collection
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from adcbf_cli.core.errors import UsageError
+
+
+class Kind(enum.StrEnum):
+    """What a package may add; the value is the entry points' group."""
+
+    PLANNER = "adcbf.planners"
+    CLUSTERER = "adcbf.clusterers"
+    MOTION_MODEL = "adcbf.motion_models"
+
+    @property
+    def noun(self) -> str:
+        return self.name.lower().replace("_", " ")
+
+
+@dataclass(frozen=True, slots=True)
+class Plugin:
+    """A name that an installed package offers. target: `module:attribute`."""
+
+    kind: Kind
+    name: str
+    distribution: str
+    version: str
+    target: str
+
+    @property
+    def module(self) -> str:
+        return self.target.partition(":")[0].strip()
+
+    def __str__(self) -> str:
+        return f"the {self.kind.noun} {self.name!r} of {self.distribution} {self.version}"
+
+
+def plugins(kind: Kind) -> list[Plugin]:
+    """Everything that installed packages offer, by name; two packages may offer the same one."""
+    return sorted((_plugin(kind, point) for point in entry_points(group=kind)), key=_by_name)
+
+
+def find_plugin(kind: Kind, name: str, built_in: Collection[str]) -> Plugin:
+    """The plugin of this name, not loaded. UsageError where there is none, or more than one."""
+    offered = plugins(kind)
+    found = [plugin for plugin in offered if plugin.name == name]
+    if len(found) > 1:
+        packages = " and ".join(f"{plugin.distribution} {plugin.version}" for plugin in found)
+        raise UsageError(f"{packages} both offer a {kind.noun} called {name!r}; uninstall one of them")
+    if not found:
+        known = list(dict.fromkeys([*built_in, *(plugin.name for plugin in offered)]))
+        close = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.5)
+        hint = f"did you mean {close[0]}? " if close else ""
+        raise UsageError(f"no {kind.noun} is called {name!r}; {hint}there are {', '.join(known)}")
+    return found[0]
+
+
+def load_plugin(plugin: Plugin) -> Any:
+    """What the plugin's target names. UsageError with the reason where that cannot be had."""
+    try:
+        made = EntryPoint(plugin.name, plugin.target, plugin.kind).load()
+    except Exception as error:  # whatever a stranger's module does when it is imported
+        reason = " ".join(str(error).split()) or "no reason given"
+        raise UsageError(
+            f"{plugin} cannot be loaded from {plugin.target!r} ({type(error).__name__}: {reason:.200}); "
+            "mend or uninstall that package"
+        ) from error
+    if not callable(made):
+        raise UsageError(f"{plugin}: {plugin.target!r} is a {type(made).__name__}, where something to call is wanted")
+    return made
+
+
+def malformed(plugin: Plugin, what: str) -> UsageError:
+    """For what a plugin made that is not of the kind that it says."""
+    return UsageError(f"{plugin}: {what}; see docs/extending.md")
+
+
+def overshadowed(kind: Kind, names: Collection[str]) -> list[Plugin]:
+    """Plugins that cannot be reached, since one of these built-in `names` is theirs."""
+    return [plugin for plugin in plugins(kind) if plugin.name in names]
+
+
+def _plugin(kind: Kind, point: EntryPoint) -> Plugin:
+    package = point.dist
+    name, version = ("a package", "of unknown version") if package is None else (package.name, package.version)
+    return Plugin(kind, point.name, str(name), str(version), point.value)
+
+
+def _by_name(plugin: Plugin) -> tuple[str, str]:
+    return plugin.name, plugin.distribution
