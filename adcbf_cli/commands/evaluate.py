@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -175,32 +174,13 @@ def _provenance(
 
 def _print_report(folder: Path, report: Report) -> None:
     """The metrics most looked at; report.md has them all, with their definitions."""
+    from adcbf_cli.core.evaluation.headlines import is_headline
     from adcbf_cli.io.report import MARKDOWN_NAME, interval, number, unit
 
     rows = [
         (name, number(metric.value), interval(metric), unit(metric), f"{metric.n:,}")
         for name, metric in report.metrics.items()
-        if _is_headline(name, report.basis["truth"] is not None)
+        if is_headline(name, report.basis["truth"] is not None)
     ]
     print_table(f"{folder}: evaluation", ("metric", "value", "95 % interval", "unit", "n"), rows)
     say(f"all {len(report.metrics)} metrics and their definitions: {folder / MARKDOWN_NAME}")
-
-
-_HEADLINES = re.compile(
-    r"clustering\.(rmse_m|bias_along_m|bias_across_m)"
-    r"|tracking\.(rmse_x_m|rmse_y_m|rmse_sight_corrected_m|rmse_body_corrected_m|nees|coverage_95)"
-    r"|prediction\.(rmse_x_m|rmse_y_m|rmse_still_x_m|rmse_still_y_m|[af]de_m\..*)"
-    r"|prediction\.(coverage_95|coverage_conformal_radius)"
-    r"|detection\.(recall.*|track_recall|moving_precision)"
-    r"|clear\.(mota|motp_m|misses|false_positives|switches)|hota\.hota"
-    r"|clusters\.per_frame|tracks\.(confirmed|life_s\.median|static_share)"
-)
-_HEADLINES_WITHOUT_TRUTH = re.compile(
-    r"later_seen\.(moving\.)?(rmse_x_m|rmse_y_m|fde_m\..*|coverage_95|coverage_conformal_radius)"
-    r"|clusters\.per_frame|tracks\.(created|confirmed|life_s.*|static_share|coasting_share|speed_mps.*)"
-)
-
-
-def _is_headline(name: str, with_truth: bool) -> bool:
-    """What fits a screen: report.md has the rest."""
-    return (_HEADLINES if with_truth else _HEADLINES_WITHOUT_TRUTH).fullmatch(name) is not None
