@@ -107,7 +107,7 @@ def table_metadata(path: Path) -> dict[str, Any] | None:
 
 def read_table(path: Path, columns: list[str]) -> pa.Table:
     """These columns of a table. AdcbfError where it is damaged."""
-    with _told_as_damage(path):
+    with told_as_damage(path):
         return pq.read_table(path, columns=columns)
 
 
@@ -116,13 +116,13 @@ def batches(path: Path, batch_size: int, columns: list[str] | None = None) -> It
 
     Without pre-buffering, which would hold the whole file's compressed columns.
     """
-    with _told_as_damage(path):
+    with told_as_damage(path):
         file = pq.ParquetFile(path, pre_buffer=False, buffer_size=READ_BUFFER_BYTES)
         yield from file.iter_batches(batch_size=batch_size, columns=columns, use_threads=False)
 
 
 @contextmanager
-def _told_as_damage(path: Path) -> Iterator[None]:
+def told_as_damage(path: Path) -> Iterator[None]:
     try:
         yield
     except (OSError, pa.ArrowException) as error:
