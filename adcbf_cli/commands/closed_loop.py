@@ -82,13 +82,15 @@ def run_closed_loop(
     """Runs what is missing of the campaign, and writes its tables and report."""
     from adcbf_cli.commands.campaign import ERROR, run_campaign
     from adcbf_cli.io.atomic import remove_leftovers
+    from adcbf_cli.io.plugin_versions import stage_plugins
     from adcbf_cli.io.run_folder import code_version
     from adcbf_cli.io.run_rows import RunRows
 
     tasks, thresholds = _plan(text, stem, options, seed, output)
     folder = _folder(stem, output)
     first = next(iter(tasks.values()))
-    key = _key(text, first.task.config, options, code_version())
+    versions = [code_version(), *stage_plugins(first.task.config).values()]
+    key = _key(text, first.task.config, options, " ".join(versions))
     with RunRows(folder, "runs", key) as rows:
         remove_leftovers(folder)
         if rows.opened == "replaced":
@@ -107,18 +109,20 @@ def run_closed_loop(
 def _plan(
     text: str, stem: str, options: ClosedLoop, seed: int | None, output: Path | None
 ) -> tuple[dict[str, RecordedTask], list[Threshold]]:
-    """Everything that can be wrong in what was asked is found before any work is done."""
+    """Everything that can be wrong in what was asked is found before any work is done. The runs are kept by planner
+    and seed, and, of another package's planner, its version."""
     from adcbf_cli.commands.driving import planner_names
     from adcbf_cli.core.config import Config
     from adcbf_cli.core.evaluation.monte_carlo import metric_names
     from adcbf_cli.core.evaluation.scene_runs import SceneTask
     from adcbf_cli.core.evaluation.thresholds import check_names, parse_threshold
-    from adcbf_cli.core.planning.presets import make_planner
+    from adcbf_cli.core.planning.presets import PLANNERS, make_planner
     from adcbf_cli.core.replay.routes import check_duration
     from adcbf_cli.core.replay.sensor_loop import route_of
     from adcbf_cli.core.simulation.parsing import parse_scenario
     from adcbf_cli.core.types import Notes
     from adcbf_cli.core.vehicles.vehicle import Vehicle
+    from adcbf_cli.io.plugin_versions import planner_plugins
     from adcbf_cli.io.settings import resolve_config
 
     if seed is not None and options.seeds is not None:
@@ -144,7 +148,10 @@ def _plan(
         for number in seeds or (scenario.seed,)
         for name in names
     ]
-    return {task.run_id: RecordedTask(task, record, logs) for task in tasks}, thresholds  # type: ignore[arg-type]
+    versions = planner_plugins(names, PLANNERS)
+    run_ids = [" ".join([task.run_id, *filter(None, [versions.get(task.planner)])]) for task in tasks]
+    recorded = [RecordedTask(task, record, logs) for task in tasks]  # type: ignore[arg-type]
+    return dict(zip(run_ids, recorded, strict=True)), thresholds
 
 
 def _folder(stem: str, output: Path | None) -> Path:
@@ -198,7 +205,9 @@ def _finish(
     from adcbf_cli.core.evaluation import monte_carlo
     from adcbf_cli.core.evaluation.report import Report
     from adcbf_cli.core.evaluation.thresholds import missed
+    from adcbf_cli.core.planning.presets import PLANNERS
     from adcbf_cli.io.atomic import write_text_atomically
+    from adcbf_cli.io.plugin_versions import planner_plugins, stage_plugins
     from adcbf_cli.io.run_folder import code_version
     from adcbf_cli.io.run_tables import write_runs
 
@@ -214,6 +223,7 @@ def _finish(
         "scenario": {"name": stem, "sha256": hashlib.sha256(text.encode()).hexdigest()},
         "knowledge": options.knowledge,
         "config": config.model_dump(mode="json"),
+        "plugins": {**stage_plugins(config), **planner_plugins(finished, PLANNERS)},
         "adcbf": code_version(),
     }
     document: dict[str, Any] = {

@@ -18,6 +18,7 @@ import numpy as np
 import typer
 
 from adcbf_cli.commands.options import Driving, Shared, parse_seeds
+from adcbf_cli.commands.plugin_hints import tell_overshadowed
 from adcbf_cli.commands.terminal import COMPILING, patience, print_json, print_table, progress, say, show_notes
 from adcbf_cli.core.errors import EXIT_THRESHOLD, AdcbfError, UsageError
 from adcbf_cli.io.run_folder import DRIVING
@@ -141,9 +142,12 @@ def parse_numbers(option: str, text: str, counts: tuple[int, ...]) -> FloatArray
 def planner_names(asked: Sequence[str] | None) -> tuple[str, ...]:
     """The planners to run, each once, in the order given."""
     from adcbf_cli.core.planning.presets import PLANNERS
+    from adcbf_cli.core.plugins import Kind
 
     wanted = asked or ["ad-cbf-mpc"]
-    return tuple(dict.fromkeys(name for word in wanted for name in (PLANNERS if word == "all" else (word,))))
+    names = tuple(dict.fromkeys(name for word in wanted for name in (PLANNERS if word == "all" else (word,))))
+    tell_overshadowed(Kind.PLANNER, [name for name in names if name in PLANNERS])
+    return names
 
 
 def _prepare(shared: Shared, driving: Driving, kind: str) -> tuple[Job, list[Threshold], tuple[str, ...]]:
@@ -318,6 +322,9 @@ def _finish(
 
 
 def _document(setting: _Setting, kind: str, comparison: Comparison, failures: list[str]) -> dict[str, Any]:
+    from adcbf_cli.core.planning.presets import PLANNERS
+    from adcbf_cli.io.plugin_versions import planner_plugins
+
     source, config = setting.outcome.manifest.source, setting.config
     return {
         "schema_version": 1,
@@ -332,6 +339,7 @@ def _document(setting: _Setting, kind: str, comparison: Comparison, failures: li
             "goal_m": [round(float(value), 4) for value in setting.route.goal_m],
         },
         "config": {name: getattr(config, name).model_dump(mode="json") for name in ("vehicle", "planning", "replay")},
+        "plugins": planner_plugins(setting.planners, PLANNERS),
         "thresholds_missed": failures,
         "warnings": setting.notes.warnings,
         "counters": setting.notes.counters,
@@ -352,7 +360,7 @@ def _write(setting: _Setting, kind: str, drives: list[Drive], comparison: Compar
         "key": outcome.manifest.stages["predict"].key,
         "against": comparison.against,
         "adcbf": code_version(),
-        **{name: document[name] for name in ("mode", "source", "world", "route", "config")},
+        **{name: document[name] for name in ("mode", "source", "world", "route", "config", "plugins")},
     }
     with outcome.folder.locked():
         folder.mkdir(exist_ok=True)

@@ -22,13 +22,16 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from adcbf_cli.commands.options import Shared
+from adcbf_cli.commands.plugin_hints import tell_overshadowed
 from adcbf_cli.commands.terminal import progress
-from adcbf_cli.core.config import Config
+from adcbf_cli.core.config import CLUSTERERS, MOTION_MODELS, Config
 from adcbf_cli.core.errors import AdcbfError, UsageError
+from adcbf_cli.core.plugins import Kind
 from adcbf_cli.core.timing import RecordingTimer
 from adcbf_cli.core.types import Clusters, Frame, Notes, Predictions, Tracks, Truth
 from adcbf_cli.io import tables
 from adcbf_cli.io.parquet import TableWriter
+from adcbf_cli.io.plugin_versions import stage_plugins
 from adcbf_cli.io.run_folder import (
     DRIVING,
     OPTIONAL_TABLES,
@@ -110,6 +113,8 @@ def log_stem(log: Path) -> str:
 def run_stages(job: Job, upto: str, force: bool = False) -> Outcome:
     """Makes sure that the run folder holds valid output of every stage up to `upto`; what is
     there and valid is reused, unless `force`."""
+    tell_overshadowed(Kind.CLUSTERER, {job.config.perception.clusterer} & {*CLUSTERERS})
+    tell_overshadowed(Kind.MOTION_MODEL, {job.config.tracking.model} & {*MOTION_MODELS})
     keys = stage_keys(job.source.sha256, job.config, job.calibration)
     wanted = STAGES[: STAGES.index(upto) + 1]
     with job.folder.locked():
@@ -133,9 +138,16 @@ def _manifest_so_far(job: Job, valid: list[str]) -> Manifest:
     """The folder's manifest with the stages that are still valid, or a new one."""
     old = job.folder.usable_manifest()
     if old is None:
-        return Manifest(job.source, {}, job.config, {}, job.calibration)
+        return Manifest(job.source, {}, job.config, {}, job.calibration, stage_plugins(job.config))
     stages = {name: old.stages[name] for name in valid}
-    return replace(old, source=job.source, config=job.config, stages=stages, calibration=job.calibration)
+    return replace(
+        old,
+        source=job.source,
+        config=job.config,
+        stages=stages,
+        calibration=job.calibration,
+        plugins=stage_plugins(job.config),
+    )
 
 
 def _remove_outdated(folder: RunFolder, valid: list[str]) -> None:
@@ -164,7 +176,7 @@ def _compute(job: Job, manifest: Manifest, keys: dict[str, str], todo: tuple[str
         else:
             records = tables.read_tracks(job.folder.path)
 
-        writers = _open_writers(job, keys, todo, selection, stack)
+        writers = _open_writers(job, keys, todo, replace(manifest, selection=selection), stack)
         if "cluster" in todo:
             records = _keep_clusters(records, writers)
         if "track" in todo:
@@ -228,12 +240,13 @@ def _check_log(job: Job) -> None:
 
 
 def _open_writers(
-    job: Job, keys: dict[str, str], todo: tuple[str, ...], selection: dict[str, Any], stack: ExitStack
+    job: Job, keys: dict[str, str], todo: tuple[str, ...], manifest: Manifest, stack: ExitStack
 ) -> dict[str, TableWriter]:
     provenance = {
         "source": {"name": Path(job.source.path).name, "sha256": job.source.sha256},
-        "selection": selection,
+        "selection": manifest.selection,
         "config": job.config.model_dump(mode="json"),
+        "plugins": manifest.plugins,
         "adcbf": code_version(),
     }
     names = {name: stage for stage in todo for name in TABLES[stage]}

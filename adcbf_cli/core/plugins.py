@@ -13,12 +13,16 @@ from __future__ import annotations
 
 import difflib
 import enum
+import re
 from collections.abc import Collection
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from adcbf_cli.core.errors import UsageError
+
+_NAME = re.compile("[a-z0-9][a-z0-9_-]*")
+"""Names become parts of metrics' and folders' names."""
 
 
 class Kind(enum.StrEnum):
@@ -68,6 +72,8 @@ def find_plugin(kind: Kind, name: str, built_in: Collection[str]) -> Plugin:
         close = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.5)
         hint = f"did you mean {close[0]}? " if close else ""
         raise UsageError(f"no {kind.noun} is called {name!r}; {hint}there are {', '.join(known)}")
+    if _NAME.fullmatch(name) is None:
+        raise malformed(found[0], "a name is of lower-case letters, digits, - and _")
     return found[0]
 
 

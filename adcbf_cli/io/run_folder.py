@@ -27,6 +27,7 @@ from adcbf_cli.core.types import Loss
 from adcbf_cli.io.atomic import remove_leftovers, write_text_atomically
 from adcbf_cli.io.log_base import printable
 from adcbf_cli.io.parquet import SCHEMA_VERSION, table_metadata
+from adcbf_cli.io.plugin_versions import stage_plugins
 from adcbf_cli.io.settings import first_problem
 
 MANIFEST = "run.json"
@@ -97,6 +98,8 @@ class Manifest:
     stages: dict[str, StageRecord]
     calibration: str | None = None
     """The calibration file's text, where one was given: later commands on the folder use it again."""
+    plugins: dict[str, str] = field(default_factory=dict)
+    """By setting, the versions of other packages' plugins that took part."""
 
     def to_json(self) -> str:
         document = {
@@ -105,6 +108,7 @@ class Manifest:
             "source": asdict(self.source),
             "selection": self.selection,
             "config": self.config.model_dump(mode="json"),
+            "plugins": self.plugins,
             "calibration": self.calibration,
             "stages": {name: asdict(record) for name, record in self.stages.items()},
         }
@@ -129,6 +133,7 @@ class Manifest:
                 for name, record in document["stages"].items()
             },
             calibration=document.get("calibration"),
+            plugins=dict(document.get("plugins") or {}),
         )
 
 
@@ -223,6 +228,8 @@ def stage_keys(source_sha256: str, config: Config, calibration: str | None) -> d
         "track": [config.tracking.model_dump(mode="json")],
         "predict": [config.prediction.model_dump(mode="json"), calibration],
     }
+    for setting, version in stage_plugins(config).items():
+        parts["cluster" if setting.startswith("perception.") else "track"].append(version)
     keys: dict[str, str] = {}
     upstream = f"{SCHEMA_VERSION} {code_version()}"
     for stage in STAGES:

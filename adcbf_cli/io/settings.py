@@ -22,6 +22,9 @@ ENVIRONMENT_PREFIX = "ADCBF_"
 
 Nested = dict[str, dict[str, Any]]
 
+_SELF_EXPLAINING = ("missing", "extra_forbidden", "unknown_name")
+"""Findings whose text says already what was given."""
+
 
 def resolve_config(
     base: Config,
@@ -64,7 +67,7 @@ def first_problem(error: ValidationError, prefix: str = "") -> str:
     """The first finding of a pydantic error as one line: where, what, and what it got."""
     finding = error.errors(include_url=False)[0]
     where = ".".join(str(part) for part in finding["loc"])
-    got = "" if finding["type"] in ("missing", "extra_forbidden", "unknown_name") else f" (got {finding['input']!r:.60})"
+    got = "" if finding["type"] in _SELF_EXPLAINING else f" (got {finding['input']!r:.60})"
     return f"{prefix}{where}: {finding['msg'][0].lower()}{finding['msg'][1:]}{got}"
 
 

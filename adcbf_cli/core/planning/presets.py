@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from adcbf_cli.core.config import PlanningConfig
+from adcbf_cli.core.errors import UsageError
 from adcbf_cli.core.planning.barrier import AdaptiveGamma, Barrier, FixedGamma, check_barrier
 from adcbf_cli.core.planning.dynamic_window import DynamicWindow
 from adcbf_cli.core.planning.mpc import MpcPlanner
@@ -75,6 +76,9 @@ PLANNERS: dict[str, Factory] = {
 }
 """Every planner by its name. A factory makes one that remembers nothing yet."""
 
+RESERVED = (*PLANNERS, "all", "logged")
+"""Names that a package's planner cannot have: `all` stands for those above, `logged` for the log's own driver."""
+
 
 def make_planner(name: str, vehicle: Vehicle, planning: PlanningConfig, notes: Notes) -> Planner:
     """A new planner called `name`, built in or of an installed package, without memory of any drive.
@@ -89,6 +93,8 @@ def make_planner(name: str, vehicle: Vehicle, planning: PlanningConfig, notes: N
 def _plugin_planner(name: str, vehicle: Vehicle, planning: PlanningConfig, notes: Notes) -> Planner:
     from adcbf_cli.core.plugins import Kind, find_plugin, load_plugin, malformed
 
+    if name in RESERVED:
+        raise UsageError(f"no planner is called {name!r}; there are {', '.join(PLANNERS)}")
     plugin = find_plugin(Kind.PLANNER, name, PLANNERS)
     planner: Planner = load_plugin(plugin)(name, vehicle, planning, notes)
     if not callable(getattr(planner, "plan", None)):
