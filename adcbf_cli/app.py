@@ -12,7 +12,20 @@ from typing import Annotated
 import typer
 
 import adcbf_cli
-from adcbf_cli.commands import cluster, config, evaluate, info, plan, predict, replay, reproduce, run, simulate, track
+from adcbf_cli.commands import (
+    batch,
+    cluster,
+    config,
+    evaluate,
+    info,
+    plan,
+    predict,
+    replay,
+    reproduce,
+    run,
+    simulate,
+    track,
+)
 from adcbf_cli.core.errors import EXIT_FAILED, AdcbfError
 
 EXIT_INTERRUPTED = 128 + signal.SIGINT
@@ -35,6 +48,7 @@ threshold was missed.""",
 
 for module in (info, run, cluster, track, predict, evaluate, plan, replay, simulate, reproduce):
     app.command(module.__name__.rpartition(".")[2])(getattr(module, module.__name__.rpartition(".")[2]))
+app.command("batch", cls=batch.CommandAfterDashes)(batch.batch)
 app.add_typer(config.app, name="config")
 
 

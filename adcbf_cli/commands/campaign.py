@@ -28,7 +28,7 @@ from adcbf_cli.io.run_rows import RunRows
 
 Task = TypeVar("Task")
 Row = dict[str, Any]
-_Finished = Generator[tuple[str, Row], None, None]
+Finished = Generator[tuple[str, Row], None, None]
 """Run ids and their rows, as the runs finish."""
 
 ERROR = "error"
@@ -55,8 +55,8 @@ def run_campaign(
     todo = {run_id: task for run_id, task in tasks.items() if ERROR in rows.done.get(run_id, {ERROR: ""})}
     if len(todo) < len(tasks):
         say(f"{what}: {len(tasks) - len(todo)} of {len(tasks)} runs are there already")
-    finished = _run_here(todo, work) if jobs == 1 else _run_in_processes(todo, work, jobs)
-    with _single_threaded(), closing(finished), RunProgress(len(todo), what) as progress:
+    finished = _run_here(todo, work) if jobs == 1 else run_in_processes(todo, work, jobs)
+    with single_threaded(), closing(finished), RunProgress(len(todo), what) as progress:
         for run_id, row in finished:
             rows.add(run_id, {"run": run_id} | row if ERROR in row else row)
             progress.advance(failed=ERROR in row)
@@ -73,7 +73,8 @@ def _say_failures(results: list[Row], what: str) -> None:
 
 
 @contextmanager
-def _single_threaded() -> Iterator[None]:
+def single_threaded() -> Iterator[None]:
+    """Processes that begin within the block use one thread each."""
     before = {name: os.environ.get(name) for name in THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
     try:
@@ -86,30 +87,32 @@ def _single_threaded() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _run_here(todo: Mapping[str, Task], work: Callable[[Task], Row]) -> _Finished:
+def _run_here(todo: Mapping[str, Task], work: Callable[[Task], Row]) -> Finished:
     for run_id, task in todo.items():
-        yield run_id, _attempt(work, task)
+        yield run_id, attempt(work, task)
 
 
-def _attempt(run: Callable[[Task], Row], task: Task) -> Row:
+def attempt(run: Callable[[Task], Row], task: Task) -> Row:
     """The run's row as JSON gives it back, or the one that says why there is none."""
     try:
         row: Row = json.loads(json.dumps(run(task), allow_nan=False))
     except AdcbfError as error:
         return {ERROR: str(error)}
     except Exception as error:  # whatever it is, the other runs go on, and the row tells of it
-        return {ERROR: _in_one_line(error)}
+        return {ERROR: in_one_line(error)}
     return row
 
 
-def _in_one_line(error: Exception) -> str:
+def in_one_line(error: Exception) -> str:
+    """Of an unexpected error: its kind, its text and where it came from."""
     text = " ".join(str(error).split())
     frames = traceback.extract_tb(error.__traceback__)
     place = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
     return f"{type(error).__name__}: {text}{place}"
 
 
-def _run_in_processes(todo: Mapping[str, Task], work: Callable[[Task], Row], jobs: int) -> _Finished:
+def run_in_processes(todo: Mapping[str, Task], work: Callable[[Task], Row], jobs: int) -> Finished:
+    """Each task's row as it is done, `jobs` at a time, however a task or its process may end. Close it to stop."""
     upcoming = iter(todo.items())
     crew: list[_Worker] = []
     try:
@@ -203,7 +206,7 @@ def _serve(pipe: Connection[Any, Any]) -> None:
             message = pipe.recv_bytes()
         except EOFError:
             return
-        pipe.send(_attempt(_unpack_and_run, message))
+        pipe.send(attempt(_unpack_and_run, message))
 
 
 def _unpack_and_run(message: bytes) -> Row:

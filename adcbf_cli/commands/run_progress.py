@@ -78,6 +78,8 @@ def _bar(total: int, what: str) -> Progress:
         TimeRemainingColumn(),
         TextColumn("{task.fields[failed]}"),
     )
-    bar = Progress(*columns, console=Console(stderr=True), transient=True)
+    # Lines printed meanwhile go above the bar on a terminal; results that go elsewhere are left alone.
+    on_top = sys.stdout.isatty()
+    bar = Progress(*columns, console=Console(stderr=True), transient=True, redirect_stdout=on_top)
     bar.add_task(what, total=total, failed="")
     return bar

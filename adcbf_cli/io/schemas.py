@@ -135,4 +135,31 @@ SCHEMAS: dict[str, pa.Schema] = {
         ]
     ),
     "gamma": pa.schema([("planner", pa.string()), *_floats("distance_m", "radius_m", "gamma")]),
+    "summary": pa.schema(
+        [
+            ("path", pa.string()),
+            ("command", pa.string()),
+            ("status", pa.string()),
+            ("exit_code", pa.int32()),
+            ("error", pa.string()),
+            ("source_sha256", pa.string()),
+            ("run_folder", pa.string()),
+            ("frames", pa.int64()),
+            *_floats("span_s"),
+            ("warnings", pa.list_(pa.string())),
+            ("losses", pa.list_(pa.string())),
+            ("thresholds_missed", pa.list_(pa.string())),
+        ]
+    ),
+    "metrics": pa.schema(
+        [
+            ("metric", pa.string()),
+            *_floats("value"),
+            ("unit", pa.string()),
+            ("n", pa.int64()),
+            ("sample", pa.string()),
+            *_floats("low", "high"),
+            ("headline", pa.bool_()),
+        ]
+    ),
 }

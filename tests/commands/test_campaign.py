@@ -210,7 +210,7 @@ def test_after_a_sigkill_the_same_command_ends_as_if_nothing_had_been(tmp_path: 
 def test_a_worker_deaf_to_being_asked_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(campaign, "GRACE_S", 0.1)
     tasks = {"deaf": Job(0, tmp_path / "log", does="ignore"), "quick": Job(1, tmp_path / "log", does="count")}
-    finished = campaign._run_in_processes(tasks, run, 2)
+    finished = campaign.run_in_processes(tasks, run, 2)
     assert next(finished)[0] == "quick"
     assert eventually(lambda: (tmp_path / "deaf").exists())
     finished.close()

@@ -1,0 +1,208 @@
+"""`adcbf batch`: one command on many logs, in parallel, resumable, with one dataset of results."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperCommand
+
+from adcbf_cli.commands.terminal import print_json, say
+from adcbf_cli.core.errors import EXIT_DATA_LOST, EXIT_FAILED, EXIT_THRESHOLD, UsageError
+
+if TYPE_CHECKING:
+    from adcbf_cli.commands.batch_work import LogTask
+
+JSON_LINES = "batch.jsonl"
+_COMMAND = "adcbf.batch.command"
+
+Row = dict[str, Any]
+
+
+class CommandAfterDashes(TyperCommand):
+    """Takes what stands after `--` for the command that runs on each log."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        if "--" in args:
+            dashes = args.index("--")
+            ctx.meta[_COMMAND] = args[dashes + 1 :]
+            args = args[:dashes]
+        own = {option for parameter in self.params for option in (*parameter.opts, *parameter.secondary_opts)}
+        for word in args:
+            if word.startswith("--") and word.partition("=")[0] not in own | {"--help"}:
+                raise UsageError(
+                    f"{word}: no option of batch; those of the command that runs on each log go behind --, "
+                    f"as in `adcbf batch LOGS -- run {word}`"
+                )
+        return super().parse_args(ctx, args)
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        return [*super().collect_usage_pieces(ctx), "[-- COMMAND [OPTIONS]]"]
+
+
+def batch(
+    ctx: typer.Context,
+    logs: Annotated[
+        list[str] | None, typer.Argument(metavar="LOGS", help="Logs, or quoted patterns.", show_default=False)
+    ] = None,
+    list_file: Annotated[
+        str | None, typer.Option("--from", metavar="FILE|-", help="Also the logs that this file lists, one a line.")
+    ] = None,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the batch.")] = Path("adcbf.batch"),
+    jobs: Annotated[
+        int | None, typer.Option("--jobs", "-j", min=1, help="Logs at once; default: as many as cores.")
+    ] = None,
+    json_output: Annotated[bool, typer.Option("--json", help="Print one JSON document, not a line a log.")] = False,
+) -> None:
+    """Run a command on many logs, and gather what came of it.
+
+    What stands behind `--` is run on each log: `run`, if nothing else is named, or cluster, track, predict, evaluate,
+    plan, replay, with its options. In these, {log}, {dir}, {stem} and {name} stand for the log's path, its folder, its
+    file name without suffix, and its name in the batch.
+
+    A log that fails does not stop the others. The same command goes on where it was stopped: finished logs are not
+    repeated, failed ones are tried again.
+
+    One JSON line a log goes to stdout and to `batch.jsonl`. `summary/` and `metrics/` are datasets in Parquet with a
+    partition a log, run folders are in `runs/log=NAME/`.
+
+    Exit codes: 1 if a log failed, else 4 if one missed a threshold, else 3 if of one a part was lost.
+
+    Examples:
+
+        adcbf batch logs/*.mcap
+
+        adcbf batch 'logs/**/*.bag' --jobs 4 -o week12.batch -- --range 20 --truth '{dir}/{stem}.csv'
+
+        find /data -name '*.mcap' | adcbf batch --from - -- replay -p all --seeds 0:10
+    """
+    from adcbf_cli.commands.batch_engines import processes
+    from adcbf_cli.commands.batch_work import run_log
+    from adcbf_cli.commands.run_progress import RunProgress
+    from adcbf_cli.io.batch_tables import BatchTables
+    from adcbf_cli.io.run_folder import RunFolder
+
+    tasks = _plan(logs or [], list_file, output, ctx.meta.get(_COMMAND, []))
+    tables = BatchTables(output)
+    with RunFolder(output).locked():
+        (output / JSON_LINES).unlink(missing_ok=True)
+        finished = processes(tasks, run_log, jobs)
+        results = _Results(tasks, streamed=not json_output)
+        with closing(finished), RunProgress(len(tasks), "batch") as progress:
+            for name, answer in finished:
+                progress.advance(failed=results.take(name, answer))
+        _finish(tables, results, json_output)
+
+
+def _plan(logs: Sequence[str], list_file: str | None, output: Path, words: Sequence[str]) -> dict[str, LogTask]:
+    """Everything that can be wrong in what was asked is found before any work is done."""
+    from adcbf_cli.commands.batch_work import LogTask, settings_in_environment
+    from adcbf_cli.io.batch_logs import find_logs, unique_names
+    from adcbf_cli.io.run_folder import RunFolder, code_version
+
+    if RunFolder.is_one(output):
+        raise UsageError(f"{output}: is the run folder of a log; choose another with -o")
+    found = find_logs(logs, list_file)
+    for path in found:
+        if RunFolder.is_one(path):
+            raise UsageError(f"{path}: is a run folder; a batch is of logs")
+    command = _checked_command(words, found[0])
+    environment, version, here = settings_in_environment(), code_version(), Path.cwd()
+    return {
+        name: LogTask(name, str(log), str(output.resolve()), str(here), command, environment, version)
+        for name, log in zip(unique_names(found), found, strict=True)
+    }
+
+
+def _checked_command(words: Sequence[str], log: Path) -> tuple[str, ...]:
+    """The command for each log with its options, as far as they can be checked without one."""
+    from adcbf_cli.commands.batch_work import COMMANDS, command_of
+    from adcbf_cli.core.config import Config
+    from adcbf_cli.io.settings import nearest, resolve_config
+
+    named = bool(words) and not words[0].startswith("-")
+    name, options = (words[0], words[1:]) if named else ("run", words)
+    if name not in COMMANDS:
+        raise UsageError(f"{name}: no command that runs on each log ({', '.join(COMMANDS)}){nearest(name, COMMANDS)}")
+    given = command_of(name).make_context(f"adcbf {name}", [*options, "--", str(log)]).params
+    if given["output"] is not None:
+        raise UsageError("-o behind --: the batch chooses each log's run folder; give -o before --")
+    resolve_config(Config(), given["config"], given["settings"] or ())
+    return name, *options
+
+
+class _Results:
+    """The logs' rows in the order of the tasks, printed as soon as those before are there."""
+
+    def __init__(self, tasks: dict[str, LogTask], streamed: bool) -> None:
+        self._tasks = tasks
+        self._streamed = streamed
+        self._found: dict[str, Row] = {}
+        self._printed = 0
+        self.reused = 0
+
+    def take(self, name: str, answer: Row) -> bool:
+        """Keeps a worker's answer; whether the log failed."""
+        from adcbf_cli.commands.batch_work import FAILED, REUSED, keep_failure
+        from adcbf_cli.commands.campaign import ERROR
+
+        if REUSED in answer:
+            self.reused += answer.pop(REUSED)
+        else:
+            answer = keep_failure(self._tasks[name], answer[ERROR])
+        self._found[name] = answer
+        if self._streamed:
+            self._print()
+        return bool(answer["status"] == FAILED)
+
+    def _print(self) -> None:
+        names = list(self._tasks)
+        while self._printed < len(names) and names[self._printed] in self._found:
+            print(_line(self._found[names[self._printed]]), flush=True)
+            self._printed += 1
+
+    def rows(self) -> list[Row]:
+        return [self._found[name] for name in self._tasks]
+
+
+def _line(row: Row) -> str:
+    return json.dumps(row, allow_nan=False)
+
+
+def _finish(tables: Any, results: _Results, as_json: bool) -> None:
+    """batch.jsonl, what is out of date, the last line, the exit code."""
+    from adcbf_cli.io.atomic import write_text_atomically
+
+    rows = results.rows()
+    gone = tables.remove_others(row["log"] for row in rows)
+    if gone:
+        say(f"{len(gone)} logs of an earlier batch are not among these, and no longer in its tables: {gone[0]} ...")
+    write_text_atomically(tables.folder / JSON_LINES, "".join(_line(row) + "\n" for row in rows))
+    counts = Counter(row["status"] for row in rows)
+    if as_json:
+        print_json({"folder": str(tables.folder), "counts": dict(sorted(counts.items())), "logs": rows})
+    _say_failures(rows)
+    say(_summary(tables.folder, rows, counts, results.reused))
+    damaged = any(row["losses"] for row in rows)
+    for bad, code in ((counts["failed"], EXIT_FAILED), (counts["missed"], EXIT_THRESHOLD), (damaged, EXIT_DATA_LOST)):
+        if bad:
+            raise typer.Exit(code)
+
+
+def _say_failures(rows: list[Row]) -> None:
+    for row in rows:
+        if row["status"] == "failed":
+            say(f"failed: {row['path']}: {row['error'].removeprefix(row['path']).lstrip(': ')}")
+
+
+def _summary(folder: Path, rows: list[Row], counts: Counter[str], reused: int) -> str:
+    told = ", ".join(
+        f"{counts[status]} {status}" for status in ("done", "damaged", "missed", "failed") if counts[status]
+    )
+    before = f"; {reused} of them finished before" if reused else ""
+    return f"{len(rows)} logs: {told}{before}; {folder}"

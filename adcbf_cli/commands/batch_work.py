@@ -1,0 +1,208 @@
+"""One log of a batch: runs an `adcbf` command on it, and keeps what came of it. Worker processes import this."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import io
+import json
+import os
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from adcbf_cli.core.errors import EXIT_DATA_LOST, EXIT_FAILED, EXIT_OK, EXIT_THRESHOLD, EXIT_USAGE, AdcbfError
+
+COMMANDS = ("run", "cluster", "track", "predict", "evaluate", "plan", "replay")
+"""What takes a log and writes a run folder."""
+
+REUSED = "reused"
+"""In a worker's answer: whether the log was finished already."""
+
+STATUS = {EXIT_OK: "done", EXIT_DATA_LOST: "damaged", EXIT_THRESHOLD: "missed"}
+FAILED = "failed"
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class LogTask:
+    """What a worker needs to know. batch, directory: absolute; the second is what relative paths start from.
+
+    command: its name and options, with {log}, {dir}, {stem} and {name} where the log's own are to stand.
+    environment: the settings in the environment. version: of the adcbf that gives the task.
+    """
+
+    name: str
+    log: str
+    batch: str
+    directory: str
+    command: tuple[str, ...]
+    environment: tuple[tuple[str, str], ...]
+    version: str
+
+    def arguments(self) -> list[str]:
+        """The command's name and its options for this log."""
+        log = Path(self.log)
+        stem = log.name if log.is_dir() else log.stem
+        values = {"{log}": self.log, "{dir}": str(log.parent), "{stem}": stem, "{name}": self.name}
+        return [_filled(word, values) for word in self.command]
+
+
+def _filled(word: str, values: dict[str, str]) -> str:
+    for mark, value in values.items():
+        word = word.replace(mark, value)
+    return word
+
+
+def command_of(name: str) -> Any:
+    """The command that parses and runs `adcbf NAME`."""
+    module = importlib.import_module(f"adcbf_cli.commands.{name}")
+    single = typer.Typer(rich_markup_mode=None, pretty_exceptions_enable=False, add_completion=False)
+    single.command(name)(getattr(module, name))
+    return typer.main.get_command(single)
+
+
+def settings_in_environment() -> tuple[tuple[str, str], ...]:
+    """The variables that settings are read from."""
+    return tuple(sorted((n, v) for n, v in os.environ.items() if n.startswith("ADCBF_") and "__" in n))
+
+
+def run_log(task: LogTask) -> Row:
+    """The log's row, and under `REUSED` whether it was there already. Whatever is wrong with the log is in the row."""
+    from adcbf_cli.io.batch_tables import BatchTables
+    from adcbf_cli.io.run_folder import code_version
+
+    if task.version != code_version():
+        raise AdcbfError(f"the adcbf that ran it is {code_version()}, the one that started the batch {task.version}")
+    _take_over(task)
+    tables = BatchTables(Path(task.batch))
+    try:
+        source_sha256, key = _key(task)
+    except AdcbfError as error:
+        return {REUSED: False, **keep_failure(task, str(error), error.exit_code)}
+    found = tables.finished(task.name, key)
+    if found is not None:
+        return {REUSED: True, **found}
+    code, error_line = _run_command([*task.arguments(), "-o", str(tables.run_folder(task.name)), "--", task.log])
+    if code not in STATUS:
+        return {REUSED: False, **keep_failure(task, error_line, code, source_sha256)}
+    return {REUSED: False, **_keep_results(task, code, key)}
+
+
+def keep_failure(task: LogTask, error: str, code: int = EXIT_FAILED, source_sha256: str | None = None) -> Row:
+    """Writes down that the log failed, and why; the next batch tries it again."""
+    from adcbf_cli.io.batch_tables import BatchTables
+
+    row = _row(task, FAILED, code) | {"error": error, "source_sha256": source_sha256}
+    return BatchTables(Path(task.batch)).write(task.name, None, row, {}, set())
+
+
+def _keep_results(task: LogTask, code: int, key: str) -> Row:
+    from adcbf_cli.core.evaluation.headlines import is_driving_headline, is_headline
+    from adcbf_cli.io.batch_tables import BatchTables
+    from adcbf_cli.io.run_scores import read_scored_run
+
+    tables = BatchTables(Path(task.batch))
+    folder = tables.run_folder(task.name)
+    run = read_scored_run(folder, task.name)
+    frames, span_s = _extent(folder)
+    row = _row(task, STATUS[code], code) | {
+        "source_sha256": run.source_sha256,
+        "run_folder": folder.relative_to(task.batch).as_posix(),
+        "frames": frames,
+        "span_s": span_s,
+        "warnings": list(run.warnings),
+        "losses": list(run.losses),
+        "thresholds_missed": list(run.thresholds_missed),
+    }
+    with_truth = run.truth is not None
+    headlines = {name for name in run.metrics if is_headline(name, with_truth) or is_driving_headline(name)}
+    return tables.write(task.name, key, row, run.metrics, headlines)
+
+
+def _row(task: LogTask, status: str, code: int) -> Row:
+    nothing: Row = dict.fromkeys(("error", "source_sha256", "run_folder", "frames", "span_s"))
+    empty: Row = {name: [] for name in ("warnings", "losses", "thresholds_missed")}
+    return {"path": task.log, "command": " ".join(task.command), "status": status, "exit_code": code} | nothing | empty
+
+
+def _extent(folder: Path) -> tuple[int, float | None]:
+    """How many frames the run has, and the seconds from the first to the last."""
+    from adcbf_cli.io.parquet import read_table
+    from adcbf_cli.io.run_folder import RunFolder
+
+    stamps = read_table(RunFolder(folder).table("frames"), ["timestamp_ns"])["timestamp_ns"].to_numpy()
+    return len(stamps), float(stamps[-1] - stamps[0]) / 1e9 if len(stamps) else None
+
+
+def _take_over(task: LogTask) -> None:
+    """Makes this process' surroundings those that the batch was started in: a worker may run on another machine."""
+    for name, _ in settings_in_environment():
+        del os.environ[name]
+    os.environ.update(task.environment)
+    os.chdir(task.directory)
+
+
+def _key(task: LogTask) -> tuple[str, str]:
+    """The log's hash, and one over all that its results depend on: the log, the command, the files that it names,
+    the settings in the environment, the code. AdcbfError where there is no log."""
+    from adcbf_cli.io.logs import log_files
+    from adcbf_cli.io.run_folder import identify_source
+
+    source = identify_source(task.log, log_files(Path(task.log)))
+    named = {word: _digest(word) for word in task.arguments()}
+    files = [digest for word, digest in named.items() if digest is not None and word != task.log]
+    parts = [source.sha256, task.command, files, task.environment, task.version]
+    return source.sha256, hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def _digest(word: str) -> str | None:
+    """The hash of the file that an option names, as `--truth FILE` or `--truth=FILE`; None where it names none."""
+    for path in (word, word.partition("=")[2]):
+        if path and Path(path).is_file():
+            with Path(path).open("rb") as file:
+                return hashlib.file_digest(file, "sha256").hexdigest()
+    return None
+
+
+def _run_command(arguments: Sequence[str]) -> tuple[int, str]:
+    """The command's exit code, as a shell would have it, and its error in one line. What it prints is dropped."""
+    command = command_of(arguments[0])
+    errors = io.StringIO()
+    with redirect_stdout(io.StringIO()), redirect_stderr(errors):
+        code, error = _exit_of(lambda: command.main(list(arguments[1:]), prog_name=f"adcbf {arguments[0]}"))
+    said = [line for line in errors.getvalue().splitlines() if line.strip()]
+    return code, error or (said[-1] if code and said else "")
+
+
+def _exit_of(run: Callable[[], Any]) -> tuple[int, str]:
+    from adcbf_cli.commands.campaign import in_one_line
+
+    try:
+        run()
+    except AdcbfError as error:
+        return error.exit_code, str(error)
+    except SystemExit as stop:
+        return _code(stop), ""
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        return EXIT_FAILED, f"{where}{error.strerror or error}"
+    except Exception as error:
+        stopped = error.__cause__ or error.__context__
+        if isinstance(stopped, SystemExit):  # a signal that arrived inside compiled code comes out wrapped
+            raise stopped from None
+        return EXIT_FAILED, in_one_line(error)
+    return EXIT_OK, ""
+
+
+def _code(stop: SystemExit) -> int:
+    """The exit code; SystemExit again where a signal told this process to leave."""
+    code = stop.code if isinstance(stop.code, int) else EXIT_FAILED * (stop.code is not None)
+    if code > 128:
+        raise stop
+    return code if code in (*STATUS, EXIT_USAGE) else EXIT_FAILED

@@ -1,0 +1,41 @@
+"""What is known of a run that was scored: its metrics, its drives' scores, and what they rest on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from adcbf_cli.core.evaluation.comparison import Kind, Scores
+from adcbf_cli.core.evaluation.report import Metric
+
+
+@dataclass(frozen=True, slots=True)
+class Driven:
+    """One kind of driving. scores: by planner. starts: what says where a seed's drive starts and leads, JSON-able."""
+
+    scores: Mapping[str, Scores]
+    starts: Any
+
+
+@dataclass(frozen=True, slots=True)
+class ScoredRun:
+    """name: tells it from others. version: of the code that made it. settings: by dotted key.
+
+    truth: says what the metrics against ground truth were held against, JSON-able; None without any.
+    metrics: by flat name, of the evaluation and of the planners. driven: by kind.
+    """
+
+    name: str
+    version: str
+    source_name: str
+    source_sha256: str
+    truth: Any
+    settings: Mapping[str, Any]
+    metrics: Mapping[str, Metric]
+    driven: Mapping[Kind, Driven]
+    warnings: tuple[str, ...] = ()
+    losses: tuple[str, ...] = ()
+    thresholds_missed: tuple[str, ...] = ()
+    scored: bool = field(default=False)
+    """Whether there is any report at all."""
