@@ -41,6 +41,8 @@ _COUNTERFACTUAL = (
     "Counterfactual: the recorded obstacles moved as they did and would not have reacted to this vehicle; what its "
     "own sensor would have seen is taken from the log's."
 )
+_REFERENCE_TOLERANCE_M = 0.01
+"""The report keeps the reference path within this: enough to draw it."""
 
 
 @dataclass(frozen=True)
@@ -323,6 +325,7 @@ def _finish(
 
 def _document(setting: _Setting, kind: str, comparison: Comparison, failures: list[str]) -> dict[str, Any]:
     from adcbf_cli.core.planning.presets import PLANNERS
+    from adcbf_cli.core.polylines import simplified
     from adcbf_cli.io.plugin_versions import planner_plugins
 
     source, config = setting.outcome.manifest.source, setting.config
@@ -338,6 +341,7 @@ def _document(setting: _Setting, kind: str, comparison: Comparison, failures: li
             "start_m": [round(float(value), 4) for value in setting.route.points_m[0]],
             "goal_m": [round(float(value), 4) for value in setting.route.goal_m],
         },
+        "reference_m": simplified(setting.route.points_m, _REFERENCE_TOLERANCE_M).round(3).tolist(),
         "config": {name: getattr(config, name).model_dump(mode="json") for name in ("vehicle", "planning", "replay")},
         "plugins": planner_plugins(setting.planners, PLANNERS),
         "thresholds_missed": failures,
