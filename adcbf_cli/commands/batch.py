@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +17,7 @@ from adcbf_cli.commands.terminal import print_json, say
 from adcbf_cli.core.errors import EXIT_DATA_LOST, EXIT_FAILED, EXIT_THRESHOLD, UsageError
 
 if TYPE_CHECKING:
+    from adcbf_cli.commands.batch_engines import Finished
     from adcbf_cli.commands.batch_work import LogTask
 
 JSON_LINES = "batch.jsonl"
@@ -57,6 +59,13 @@ def batch(
     jobs: Annotated[
         int | None, typer.Option("--jobs", "-j", min=1, help="Logs at once; default: as many as cores.")
     ] = None,
+    engine: Annotated[
+        str, typer.Option("--engine", metavar="processes|ray", help="Processes here, or a Ray cluster (adcbf[ray]).")
+    ] = "processes",
+    address: Annotated[
+        str | None,
+        typer.Option("--address", metavar="HOST:PORT", help="Ray cluster; default: RAY_ADDRESS, else one of its own."),
+    ] = None,
     json_output: Annotated[bool, typer.Option("--json", help="Print one JSON document, not a line a log.")] = False,
 ) -> None:
     """Run a command on many logs, and gather what came of it.
@@ -80,18 +89,20 @@ def batch(
         adcbf batch 'logs/**/*.bag' --jobs 4 -o week12.batch -- --range 20 --truth '{dir}/{stem}.csv'
 
         find /data -name '*.mcap' | adcbf batch --from - -- replay -p all --seeds 0:10
+
+        adcbf batch --from logs.txt --engine ray --address head:6379 -o /shared/logs.batch
     """
-    from adcbf_cli.commands.batch_engines import processes
     from adcbf_cli.commands.batch_work import run_log
     from adcbf_cli.commands.run_progress import RunProgress
     from adcbf_cli.io.batch_tables import BatchTables
     from adcbf_cli.io.run_folder import RunFolder
 
+    start = _engine(engine, address, jobs)
     tasks = _plan(logs or [], list_file, output, ctx.meta.get(_COMMAND, []))
     tables = BatchTables(output)
     with RunFolder(output).locked():
         (output / JSON_LINES).unlink(missing_ok=True)
-        finished = processes(tasks, run_log, jobs)
+        finished = start(tasks, run_log)
         results = _Results(tasks, streamed=not json_output)
         with closing(finished), RunProgress(len(tasks), "batch") as progress:
             for name, answer in finished:
@@ -99,11 +110,25 @@ def batch(
         _finish(tables, results, json_output)
 
 
+def _engine(name: str, address: str | None, jobs: int | None) -> Callable[..., Finished]:
+    """What takes tasks and the work to do on each. UsageError where there is no such engine, or it is not installed."""
+    from adcbf_cli.commands.batch_engines import load_ray, on_processes, on_ray
+
+    if name == "ray":
+        load_ray()
+        return partial(on_ray, jobs=jobs, address=address)
+    if name != "processes":
+        raise UsageError(f"--engine {name!r}: must be one of processes, ray")
+    if address is not None:
+        raise UsageError("--address is of a Ray cluster, and needs --engine ray")
+    return partial(on_processes, jobs=jobs)
+
+
 def _plan(logs: Sequence[str], list_file: str | None, output: Path, words: Sequence[str]) -> dict[str, LogTask]:
     """Everything that can be wrong in what was asked is found before any work is done."""
-    from adcbf_cli.commands.batch_work import LogTask, settings_in_environment
+    from adcbf_cli.commands.batch_work import LogTask, settings_in_environment, software
     from adcbf_cli.io.batch_logs import find_logs, unique_names
-    from adcbf_cli.io.run_folder import RunFolder, code_version
+    from adcbf_cli.io.run_folder import RunFolder
 
     if RunFolder.is_one(output):
         raise UsageError(f"{output}: is the run folder of a log; choose another with -o")
@@ -112,7 +137,7 @@ def _plan(logs: Sequence[str], list_file: str | None, output: Path, words: Seque
         if RunFolder.is_one(path):
             raise UsageError(f"{path}: is a run folder; a batch is of logs")
     command = _checked_command(words, found[0])
-    environment, version, here = settings_in_environment(), code_version(), Path.cwd()
+    environment, version, here = settings_in_environment(), software(), Path.cwd()
     return {
         name: LogTask(name, str(log), str(output.resolve()), str(here), command, environment, version)
         for name, log in zip(unique_names(found), found, strict=True)

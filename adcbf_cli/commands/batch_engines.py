@@ -1,15 +1,25 @@
-"""Where a batch's logs are worked on: in processes of this machine."""
+"""Where a batch's logs are worked on: in processes of this machine, or on a Ray cluster."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import contextmanager
+from itertools import islice
 from typing import Any, TypeVar
+
+from adcbf_cli.core.errors import AdcbfError, UsageError
 
 Task = TypeVar("Task")
 Row = dict[str, Any]
 Finished = Generator[tuple[str, Row], None, None]
 """Tasks' names and their rows, as they are finished; one whose process died has the row {ERROR: why}."""
+
+RETRIES = 3
+"""How often Ray starts a task anew whose worker, or its machine, died."""
+
+NO_USAGE_STATISTICS = {"RAY_USAGE_STATS_ENABLED": "0"}
+"""Ray would report home what it runs on, unless the user says otherwise."""
 
 
 def cores() -> int:
@@ -17,9 +27,64 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def processes(tasks: Mapping[str, Task], work: Callable[[Task], Row], jobs: int | None) -> Finished:
-    """Each task in a process of its own kind, `jobs` of them at once; one that dies takes its own task only along."""
+def on_processes(tasks: Mapping[str, Task], work: Callable[[Task], Row], jobs: int | None) -> Finished:
+    """Every task in a process of this machine, `jobs` at once; one that dies takes only its own task along."""
     from adcbf_cli.commands.campaign import run_in_processes, single_threaded
 
     with single_threaded():
         yield from run_in_processes(tasks, work, jobs or cores())
+
+
+def on_ray(tasks: Mapping[str, Task], work: Callable[[Task], Row], jobs: int | None, address: str | None) -> Finished:
+    """Every task on a CPU of a Ray cluster, `jobs` at once, or as many as it has CPUs.
+
+    address: the cluster's; without one, RAY_ADDRESS, and without that a cluster that lasts as long as this does, in
+    processes of this machine. A task whose worker dies is started anew, up to RETRIES times. The cluster's machines
+    must have this adcbf installed and see the logs and the batch's folder under the same paths.
+    """
+    from adcbf_cli.commands.campaign import ERROR, attempt, single_threaded
+
+    with single_threaded(), _connected(address or os.environ.get("RAY_ADDRESS"), jobs) as ray:
+        remote = ray.remote(num_cpus=1, max_retries=RETRIES)(attempt)
+        given = ray.put(work)
+        upcoming = iter(tasks.items())
+        # Ray queues what has no CPU yet, so one more than fit keeps every CPU at work.
+        at_once = jobs or int(ray.cluster_resources().get("CPU", 1)) + 1
+        running = {remote.remote(given, task): name for name, task in islice(upcoming, at_once)}
+        while running:
+            (ready, *_), _ = ray.wait(list(running), num_returns=1)
+            name = running.pop(ready)
+            for following, task in islice(upcoming, 1):
+                running[remote.remote(given, task)] = following
+            try:
+                row: Row = ray.get(ready)
+            except ray.exceptions.RayError as error:
+                row = {ERROR: f"its Ray worker died {RETRIES + 1} times ({type(error).__name__})"}
+            yield name, row
+
+
+@contextmanager
+def _connected(address: str | None, jobs: int | None) -> Iterator[Any]:
+    """Ray, connected to the cluster, or with one of its own; what still runs is stopped in the end."""
+    for name, value in NO_USAGE_STATISTICS.items():
+        os.environ.setdefault(name, value)
+    ray = load_ray()
+    own = {} if address else {"num_cpus": jobs or cores(), "include_dashboard": False}
+    try:
+        ray.init(address or "local", log_to_driver=False, logging_level="ERROR", **own)
+    except (ConnectionError, ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise AdcbfError(f"no Ray cluster at {address or 'this machine'}: {reason}") from None
+    try:
+        yield ray
+    finally:
+        ray.shutdown()
+
+
+def load_ray() -> Any:
+    """The package; UsageError where it is not installed."""
+    try:
+        import ray
+    except ImportError:
+        raise UsageError("--engine ray: Ray is not installed; `pip install 'adcbf[ray]'` does that") from None
+    return ray

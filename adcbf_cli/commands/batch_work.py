@@ -10,6 +10,7 @@ import os
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ class LogTask:
     """What a worker needs to know. batch, directory: absolute; the second is what relative paths start from.
 
     command: its name and options, with {log}, {dir}, {stem} and {name} where the log's own are to stand.
-    environment: the settings in the environment. version: of the adcbf that gives the task.
+    environment: the settings in the environment. software: what the process that gives the task runs.
     """
 
     name: str
@@ -43,7 +44,7 @@ class LogTask:
     directory: str
     command: tuple[str, ...]
     environment: tuple[tuple[str, str], ...]
-    version: str
+    software: str
 
     def arguments(self) -> list[str]:
         """The command's name and its options for this log."""
@@ -72,13 +73,23 @@ def settings_in_environment() -> tuple[tuple[str, str], ...]:
     return tuple(sorted((n, v) for n, v in os.environ.items() if n.startswith("ADCBF_") and "__" in n))
 
 
+@cache
+def software() -> str:
+    """The versions of adcbf and of all plugins that are installed, down to their sources."""
+    from adcbf_cli.core.plugins import Kind, plugins
+    from adcbf_cli.io.plugin_versions import plugin_version
+    from adcbf_cli.io.run_folder import code_version
+
+    others = {plugin_version(plugin) for kind in Kind for plugin in plugins(kind)}
+    return ", ".join([f"adcbf {code_version()}", *sorted(others)])
+
+
 def run_log(task: LogTask) -> Row:
     """The log's row, and under `REUSED` whether it was there already. Whatever is wrong with the log is in the row."""
     from adcbf_cli.io.batch_tables import BatchTables
-    from adcbf_cli.io.run_folder import code_version
 
-    if task.version != code_version():
-        raise AdcbfError(f"the adcbf that ran it is {code_version()}, the one that started the batch {task.version}")
+    if task.software != software():
+        raise AdcbfError(f"this batch was started with {task.software}, but on its turn there was {software()}")
     _take_over(task)
     tables = BatchTables(Path(task.batch))
     try:
@@ -157,7 +168,7 @@ def _key(task: LogTask) -> tuple[str, str]:
     source = identify_source(task.log, log_files(Path(task.log)))
     named = {word: _digest(word) for word in task.arguments()}
     files = [digest for word, digest in named.items() if digest is not None and word != task.log]
-    parts = [source.sha256, task.command, files, task.environment, task.version]
+    parts = [source.sha256, task.command, files, task.environment, task.software]
     return source.sha256, hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
