@@ -35,7 +35,9 @@ def cluster(
     """
     from adcbf_cli.commands.stages import plan_job, run_stages
     from adcbf_cli.commands.summary import finish
+    from adcbf_cli.commands.viz import write_viz
 
     overrides = {"perception.clusterer": clusterer, "perception.point_labels": labels}
     outcome = run_stages(plan_job(shared, overrides), "cluster", shared.force)
+    write_viz(outcome, shared.viz)
     finish(outcome, "cluster", shared.json_output)

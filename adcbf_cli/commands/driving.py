@@ -89,7 +89,7 @@ def run_open_loop(shared: Shared, driving: Driving) -> None:
         setting.notes,
     )
     drives.append(logged_drive(setting.log_path, setting.world, setting.route, setting.vehicle, setting.config))
-    _finish(setting, "plan", drives, driving, shared.json_output, thresholds)
+    _finish(setting, "plan", drives, driving, shared, thresholds)
 
 
 def run_replay(shared: Shared, driving: Driving, start: str | None, seeds: str) -> None:
@@ -122,7 +122,7 @@ def run_replay(shared: Shared, driving: Driving, start: str | None, seeds: str) 
     )
     if _follows_log(setting, driving):
         drives.append(logged_drive(setting.log_path, setting.world, setting.route, setting.vehicle, setting.config))
-    _finish(setting, "replay", drives, driving, shared.json_output, thresholds)
+    _finish(setting, "replay", drives, driving, shared, thresholds)
 
 
 def _follows_log(setting: _Setting, driving: Driving) -> bool:
@@ -291,11 +291,12 @@ def _finish(
     kind: str,
     drives: list[Drive],
     driving: Driving,
-    as_json: bool,
+    shared: Shared,
     thresholds: list[Threshold],
 ) -> None:
     """Tables, report, the terminal's table, thresholds, exit code."""
     from adcbf_cli.commands.summary import exit_for
+    from adcbf_cli.commands.viz import write_viz
     from adcbf_cli.core.evaluation.comparison import add_to_report, compare
     from adcbf_cli.core.evaluation.comparison_text import headline
     from adcbf_cli.core.evaluation.report import Report
@@ -308,7 +309,8 @@ def _finish(
     failures = missed(thresholds, report)
     document = _document(setting, kind, comparison, failures)
     folder = _write(setting, kind, drives, comparison, document)
-    if as_json:
+    write_viz(setting.outcome, shared.viz)
+    if shared.json_output:
         print_json(document)
     else:
         title = "closed loop, counterfactual" if kind == "replay" else "open loop"

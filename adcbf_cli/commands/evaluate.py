@@ -61,6 +61,7 @@ def score_run(shared: Shared, truth: str | None, fail_on: list[str], with_facts:
     from adcbf_cli.commands.stages import plan_job, run_stages
     from adcbf_cli.commands.stored_drives import stored_drives
     from adcbf_cli.commands.summary import exit_for, print_facts, summarise
+    from adcbf_cli.commands.viz import write_viz
     from adcbf_cli.core.evaluation.thresholds import check_names, missed, parse_threshold
     from adcbf_cli.io.report import report_document, write_report
     from adcbf_cli.io.truth import read_truth
@@ -78,6 +79,7 @@ def score_run(shared: Shared, truth: str | None, fail_on: list[str], with_facts:
     document = report_document(report, _provenance(outcome, truth, thresholds, failures))
     with outcome.folder.locked():
         write_report(outcome.folder.path, document, report)
+    write_viz(outcome, shared.viz)
     if with_facts:
         facts = summarise(outcome, "predict")
         document = {"run": facts, "report": document}

@@ -68,6 +68,10 @@ class Shared:
         typer.Option("--range", metavar="M", help="Keep points within +-M of the sensor; default 4 (8 x 8 m)."),
     ] = None
     force: Annotated[bool, typer.Option("--force", help="Compute anew what could be reused.")] = False
+    viz: Annotated[
+        list[str] | None,
+        typer.Option("--viz", metavar="foxglove|ros2|rrd", help="Also write a log for this viewer; repeatable."),
+    ] = None
     json_output: Json = False
 
     def overrides(self) -> dict[str, Any]:

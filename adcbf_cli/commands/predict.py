@@ -49,6 +49,7 @@ def predict(
     """
     from adcbf_cli.commands.stages import plan_job, run_stages
     from adcbf_cli.commands.summary import finish
+    from adcbf_cli.commands.viz import write_viz
     from adcbf_cli.io.atomic import check_target
 
     overrides = {
@@ -62,6 +63,7 @@ def predict(
     outcome = run_stages(job, "predict", shared.force)
     if save_calibration is not None:
         _save_calibration(save_calibration, outcome)
+    write_viz(outcome, shared.viz)
     finish(outcome, "predict", shared.json_output)
 
 

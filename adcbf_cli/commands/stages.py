@@ -24,6 +24,7 @@ import numpy as np
 from adcbf_cli.commands.options import Shared
 from adcbf_cli.commands.plugin_hints import tell_overshadowed
 from adcbf_cli.commands.terminal import progress
+from adcbf_cli.commands.viz import check_viz
 from adcbf_cli.core.config import CLUSTERERS, MOTION_MODELS, Config
 from adcbf_cli.core.errors import AdcbfError, UsageError
 from adcbf_cli.core.plugins import Kind
@@ -81,6 +82,7 @@ class Outcome:
 
 def plan_job(shared: Shared, overrides: dict[str, Any] | None = None, calibration_file: Path | None = None) -> Job:
     """Reads the shared options: a log starts from the defaults, a run folder from its own settings."""
+    check_viz(shared.viz)
     overrides = {**shared.overrides(), **(overrides or {})}
     calibration = None if calibration_file is None else read_text(calibration_file)
     if calibration is not None:

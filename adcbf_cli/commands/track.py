@@ -30,6 +30,9 @@ def track(shared: Shared, filter_name: Filter = None, model: Model = None) -> No
     """
     from adcbf_cli.commands.stages import plan_job, run_stages
     from adcbf_cli.commands.summary import finish
+    from adcbf_cli.commands.viz import write_viz
 
     overrides = {"tracking.filter": filter_name, "tracking.model": model}
-    finish(run_stages(plan_job(shared, overrides), "track", shared.force), "track", shared.json_output)
+    outcome = run_stages(plan_job(shared, overrides), "track", shared.force)
+    write_viz(outcome, shared.viz)
+    finish(outcome, "track", shared.json_output)

@@ -47,14 +47,17 @@ class LaserSweep:
 
 
 class LogWriter:
-    """Serialises messages into an open MCAP writer. Get one from `open_log`."""
+    """Serialises messages into an open MCAP writer. Get one from `open_log`.
+
+    types: the message classes, by name.
+    """
 
     def __init__(self, writer: Any) -> None:
         from rosbags.typesys import Stores, get_typestore
 
         self._writer = writer
         self._store = get_typestore(Stores.ROS2_HUMBLE)
-        self._types: dict[str, Any] = dict(self._store.types)
+        self.types: dict[str, Any] = dict(self._store.types)
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._sequence: dict[str, int] = {}
@@ -71,14 +74,14 @@ class LogWriter:
             if (scan.offset_ns < 0).any():
                 raise ValueError("a point's time must not lie before its scan's stamp")
             rows["t"] = scan.offset_ns
-        field = self._types["sensor_msgs/msg/PointField"]
+        field = self.types["sensor_msgs/msg/PointField"]
         kinds = {"<f4": field.FLOAT32, "<u4": field.UINT32}
         fields = [
             field(name=name, offset=4 * place, datatype=kinds[layout[name].str], count=1)
             for place, name in enumerate(names)
         ]
-        message = self._types[CLOUD](
-            header=self._header(scan.stamp_ns, scan.frame_id),
+        message = self.types[CLOUD](
+            header=self.header(scan.stamp_ns, scan.frame_id),
             height=1,
             width=len(rows),
             fields=fields,
@@ -88,14 +91,14 @@ class LogWriter:
             data=rows.view(np.uint8).reshape(-1),
             is_dense=True,
         )
-        self._write(scan.topic, CLOUD, message, scan.stamp_ns, log_ns)
+        self.write(scan.topic, CLOUD, message, log_ns)
 
     def write_laser_scan(
         self, topic: str, frame_id: str, stamp_ns: int, log_ns: int, range_m: FloatArray, sweep: LaserSweep
     ) -> None:
         """A LaserScan; range_m (n,) holds inf where nothing came back."""
-        message = self._types[LASER_SCAN](
-            header=self._header(stamp_ns, frame_id),
+        message = self.types[LASER_SCAN](
+            header=self.header(stamp_ns, frame_id),
             angle_min=sweep.first_rad,
             angle_max=sweep.first_rad + sweep.step_rad * (len(range_m) - 1),
             angle_increment=sweep.step_rad,
@@ -106,7 +109,7 @@ class LogWriter:
             ranges=range_m.astype(np.float32),
             intensities=np.zeros(0, dtype=np.float32),
         )
-        self._write(topic, LASER_SCAN, message, stamp_ns, log_ns)
+        self.write(topic, LASER_SCAN, message, log_ns)
 
     def write_odometry(
         self,
@@ -119,7 +122,7 @@ class LogWriter:
         turn_radps: float,
     ) -> None:
         """An Odometry message: pose (4, 4) of child in frame_id, forward speed and turn rate of child."""
-        types = self._types
+        types = self.types
         vector = types["geometry_msgs/msg/Vector3"]
         forward, turn = as_recorded(np.array([speed_mps, turn_radps]))
         twist = types["geometry_msgs/msg/Twist"](
@@ -131,36 +134,38 @@ class LogWriter:
         )
         unknown = np.zeros(36)
         message = types[ODOMETRY](
-            header=self._header(stamp_ns, frame_id),
+            header=self.header(stamp_ns, frame_id),
             child_frame_id=child,
             pose=types["geometry_msgs/msg/PoseWithCovariance"](pose=place, covariance=unknown),
             twist=types["geometry_msgs/msg/TwistWithCovariance"](twist=twist, covariance=unknown),
         )
-        self._write(topic, ODOMETRY, message, stamp_ns, stamp_ns)
+        self.write(topic, ODOMETRY, message, stamp_ns)
 
     def write_transform(self, parent: str, child: str, stamp_ns: int, pose: FloatArray, static: bool = False) -> None:
         """One transform (4 x 4, parent_from_child) on /tf or /tf_static."""
-        types = self._types
+        types = self.types
         x, y, z = as_recorded(pose[:3, 3])
         transform = types["geometry_msgs/msg/Transform"](
             translation=types["geometry_msgs/msg/Vector3"](x=x, y=y, z=z), rotation=self._quaternion(pose)
         )
         stamped = types["geometry_msgs/msg/TransformStamped"](
-            header=self._header(stamp_ns, parent), child_frame_id=child, transform=transform
+            header=self.header(stamp_ns, parent), child_frame_id=child, transform=transform
         )
         topic = "/tf_static" if static else "/tf"
-        self._write(topic, TF, types[TF](transforms=[stamped]), stamp_ns, stamp_ns, latched=static)
+        self.write(topic, TF, types[TF](transforms=[stamped]), stamp_ns, latched=static)
 
     def _quaternion(self, pose: FloatArray) -> Any:
         x, y, z, w = as_recorded(quaternion_from_rotation(pose[:3, :3]))
-        return self._types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
+        return self.types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
 
-    def _header(self, stamp_ns: int, frame_id: str) -> Any:
+    def header(self, stamp_ns: int, frame_id: str) -> Any:
+        """A std_msgs/msg/Header."""
         seconds, rest = divmod(int(stamp_ns), NS_PER_S)
-        stamp = self._types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest)
-        return self._types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)
+        stamp = self.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest)
+        return self.types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)
 
-    def _write(self, topic: str, msgtype: str, message: Any, stamp_ns: int, log_ns: int, latched: bool = False) -> None:
+    def write(self, topic: str, msgtype: str, message: Any, log_ns: int, latched: bool = False) -> None:
+        """Any message that ROS 2's common packages define, made of `types`; a topic's messages are all of one type."""
         if topic not in self._channels:
             metadata = {"offered_qos_profiles": LATCHED if latched else ""}
             self._channels[topic] = self._writer.register_channel(

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from adcbf_cli.io.log_base import printable
 from adcbf_cli.io.parquet import SCHEMA_VERSION, table_metadata
 from adcbf_cli.io.plugin_versions import stage_plugins
 from adcbf_cli.io.settings import first_problem
+from adcbf_cli.io.viz import VIEW_FILES
 
 MANIFEST = "run.json"
 
@@ -158,12 +160,15 @@ class RunFolder:
         return keys.pop() if len(keys) == 1 else None
 
     def remove_driving(self, kind: str) -> None:
-        """Removes the files of one kind of driving, and what a killed command left beside them."""
+        """Removes the files of one kind of driving, what a killed command left beside them, and the logs for viewers,
+        which show them."""
         folder = self.path / DRIVING[kind]
         if folder.is_dir():
             remove_leftovers(folder)
             for name in DRIVING_FILES:
                 (folder / name).unlink(missing_ok=True)
+        for name in chain.from_iterable(VIEW_FILES.values()):
+            (self.path / name).unlink(missing_ok=True)
 
     def manifest(self) -> Manifest:
         """What the folder says of itself; AdcbfError if it says nothing intelligible."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from typing import Any
 
+import yaml
+
 from adcbf_cli.io.viz.items import CLOUD, CLUSTERS, DRIVEN, PREDICTIONS, TRACKS, drive_topic
 from adcbf_cli.io.viz.records import Show
 from adcbf_cli.io.viz.shapes import NO_CLUSTER, Rgb, planner_rgb
@@ -69,6 +71,74 @@ def foxglove_layout(show: Show) -> str:
         "layout": "3D!scene",
     }
     return json.dumps(layout, indent=2) + "\n"
+
+
+def rviz_config(show: Show) -> str:
+    """For `rviz2 -d`: everything in the bag, seen from above, around the sensor."""
+    displays = [
+        _display("Grid", "grid", None, {"Reference Frame": show.world_frame, "Cell Size": 1, "Plane Cell Count": 100}),
+        _display("TF", "tf", None, {"Enabled": False, "Value": False}),
+        _display(
+            "PointCloud2", "cloud", CLOUD, {"Color Transformer": "RGB8", "Style": "Flat Squares", "Size (m)": 0.04}
+        ),
+        *(_display("MarkerArray", topic.lstrip("/"), topic) for topic in (CLUSTERS, TRACKS, PREDICTIONS)),
+        _path_display(DRIVEN, NO_CLUSTER, 0.04),
+    ]
+    for place, drive in enumerate(show.drives):
+        topic, rgb = drive_topic(drive), planner_rgb(place)
+        displays += [_path_display(f"{topic}/plan", rgb, 0.05), _path_display(f"{topic}/driven", rgb, 0.08)]
+        displays.append(_display("MarkerArray", f"{topic.lstrip('/')}/vehicle", f"{topic}/vehicle"))
+    view = {
+        "Class": "rviz_default_plugins/Orbit",
+        "Name": "Current View",
+        "Distance": 30,
+        "Pitch": 1.0,
+        "Yaw": 3.14,
+        "Target Frame": show.sensor_frame,
+    }
+    config = {
+        "Panels": [
+            {"Class": "rviz_common/Displays", "Name": "Displays"},
+            {"Class": "rviz_common/Time", "Name": "Time"},
+        ],
+        "Visualization Manager": {
+            "Class": "",
+            "Displays": displays,
+            "Enabled": True,
+            "Global Options": {"Fixed Frame": show.world_frame, "Frame Rate": 30, "Background Color": "21; 21; 26"},
+            "Name": "root",
+            "Tools": [{"Class": f"rviz_default_plugins/{tool}"} for tool in ("MoveCamera", "Select", "Measure")],
+            "Value": True,
+            "Views": {"Current": view, "Saved": None},
+        },
+        "Window Geometry": {"Width": 1400, "Height": 900},
+    }
+    text: str = yaml.safe_dump(config, sort_keys=False)
+    return text
+
+
+def _display(kind: str, name: str, topic: str | None = None, settings: dict[str, Any] | None = None) -> dict[str, Any]:
+    display: dict[str, Any] = {
+        "Class": f"rviz_default_plugins/{kind}",
+        "Name": name,
+        "Enabled": True,
+        "Value": True,
+    }
+    if topic is not None:
+        display["Topic"] = {
+            "Value": topic,
+            "Depth": 5,
+            "History Policy": "Keep Last",
+            "Reliability Policy": "Reliable",
+            "Durability Policy": "Volatile",
+        }
+    return display | (settings or {})
+
+
+def _path_display(topic: str, rgb: Rgb, width_m: float) -> dict[str, Any]:
+    colour = "; ".join(map(str, rgb))
+    settings: dict[str, Any] = {"Line Style": "Billboards", "Line Width": width_m, "Color": colour}
+    return _display("Path", topic.lstrip("/"), topic, settings)
 
 
 def _path(rgb: Rgb, width_m: float) -> dict[str, Any]:

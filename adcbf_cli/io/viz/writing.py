@@ -12,6 +12,7 @@ from adcbf_cli.io.atomic import write_text_atomically
 from adcbf_cli.io.run_folder import Manifest, RunFolder
 from adcbf_cli.io.viz import VIEW_FILES
 from adcbf_cli.io.viz.items import Item, items
+from adcbf_cli.io.viz.layouts import foxglove_layout, rviz_config
 from adcbf_cli.io.viz.records import Record, SceneFrame, Show
 from adcbf_cli.io.viz.scenes import scenes, show_of
 
@@ -61,15 +62,23 @@ def write_views(
 
 
 def _open(name: str, path: Path, show: Show) -> AbstractContextManager[ViewWriter]:
+    """Each format's module is imported only where it is asked for."""
     if name == "foxglove":
         from adcbf_cli.io.viz.foxglove import open_foxglove
 
         return open_foxglove(path, show)
-    raise ValueError(name)
+    if name == "ros2":
+        from adcbf_cli.io.viz.ros2 import open_ros2
+
+        return open_ros2(path, show)
+    from adcbf_cli.io.viz.rrd import open_rrd
+
+    return open_rrd(path, show)
+
+
+_LAYOUTS = {"foxglove": foxglove_layout, "ros2": rviz_config}
 
 
 def _write_layout(name: str, folder: Path, show: Show) -> None:
-    from adcbf_cli.io.viz.layouts import foxglove_layout
-
-    if name == "foxglove":
-        write_text_atomically(folder / VIEW_FILES[name][1], foxglove_layout(show))
+    if name in _LAYOUTS:
+        write_text_atomically(folder / VIEW_FILES[name][1], _LAYOUTS[name](show))
