@@ -64,6 +64,7 @@ def score_run(shared: Shared, truth: str | None, fail_on: list[str], with_facts:
     from adcbf_cli.commands.viz import write_viz
     from adcbf_cli.core.evaluation.thresholds import check_names, missed, parse_threshold
     from adcbf_cli.io.report import report_document, write_report
+    from adcbf_cli.io.score_blocks import write_score_blocks
     from adcbf_cli.io.truth import read_truth
 
     thresholds = [parse_threshold(text) for text in fail_on]
@@ -79,6 +80,7 @@ def score_run(shared: Shared, truth: str | None, fail_on: list[str], with_facts:
     document = report_document(report, _provenance(outcome, truth, thresholds, failures))
     with outcome.folder.locked():
         write_report(outcome.folder.path, document, report)
+        write_score_blocks(outcome.folder.path, report.metrics)
     write_viz(outcome, shared.viz)
     if with_facts:
         facts = summarise(outcome, "predict")

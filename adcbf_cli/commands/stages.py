@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 Record = TypeVar("Record", Clusters, Tracks, Predictions)
 
 
-REPORTS = ("report.json", "report.md")
+REPORTS = ("report.json", "report.md", "score_blocks.parquet")
 
 
 @dataclass(frozen=True)

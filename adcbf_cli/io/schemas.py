@@ -135,6 +135,15 @@ SCHEMAS: dict[str, pa.Schema] = {
         ]
     ),
     "gamma": pa.schema([("planner", pa.string()), *_floats("distance_m", "radius_m", "gamma")]),
+    "score_blocks": pa.schema(
+        [
+            ("metric", pa.string()),
+            ("block", pa.int64()),
+            *_floats("sum", "count"),
+            ("dealt", pa.bool_()),
+            ("root", pa.bool_()),
+        ]
+    ),
     "summary": pa.schema(
         [
             ("path", pa.string()),

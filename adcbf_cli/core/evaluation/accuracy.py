@@ -169,6 +169,7 @@ class Accuracy:
                     SAMPLE,
                     base + axis + suffix,
                     interval=sums.interval(prefix + key, np.sqrt),
+                    blocks=sums.blocks(prefix + key, root=True),
                 )
         return result
 
@@ -187,6 +188,7 @@ class Accuracy:
                 SAMPLE,
                 texts[key],
                 interval=sums.interval(key, lambda means: means),
+                blocks=sums.blocks(key),
                 bounds=nees_bounds(sums.count(key)),
             )
             for key, name in names.items()
@@ -199,6 +201,7 @@ class Accuracy:
                 SAMPLE,
                 f"share of true centres within the track's {level:.0%} ellipse; {level:g} for a consistent filter",
                 interval=sums.interval(f"{level}", lambda means: means),
+                blocks=sums.blocks(f"{level}"),
             )
         return result
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -24,18 +25,40 @@ MAX_KEPT = 2000
 """So many blocks are kept apart while sums run; then they are dealt already, by their keys, so that
 memory does not grow with the log either."""
 _CHUNK = 100
+_TIME = 0xFFFFFFFF
+"""The part of a block's key that says which stretch of time it is."""
 
 
 def block_keys(ids: IntArray, stamp_ns: IntArray, block_ns: int) -> IntArray:
     """(k,) int64 keys, one for each id (below 2**31) and time block. Times of one log only."""
-    return (ids << 32) | ((stamp_ns // block_ns) & 0xFFFFFFFF)
+    return (ids << 32) | ((stamp_ns // block_ns) & _TIME)
+
+
+@dataclass(frozen=True, slots=True)
+class Blocks:
+    """What a mean is made of, so that two runs on one log can be paired block by block.
+
+    keys: (k,) int64, ascending, the same in every run for the same block. sums, counts: (k,). dealt: the keys are
+    hands that blocks were dealt into. root: the metric is the mean's square root.
+    """
+
+    keys: IntArray
+    sums: FloatArray
+    counts: FloatArray
+    dealt: bool
+    root: bool
 
 
 class BlockSums:
-    """Running sums and counts of named quantities, by block."""
+    """Running sums and counts of named quantities, by block.
 
-    def __init__(self) -> None:
+    own_ids: the blocks' ids are the run's own (tracks), and say nothing in another run on the same log.
+    """
+
+    def __init__(self, own_ids: bool = False) -> None:
+        self._own_ids = own_ids
         self._sums: dict[str, dict[int, list[float]]] = {}
+        self._times: dict[str, dict[int, list[float]]] = {}  # of names that are dealt: by hand, but of time alone
         self._dealt: set[str] = set()
 
     def add(self, blocks: IntArray, quantities: Mapping[str, FloatArray]) -> None:
@@ -49,14 +72,35 @@ class BlockSums:
             known = np.isfinite(table)
             total = np.bincount(place, np.where(known, table, 0.0).sum(axis=1), len(keys))
             count = np.bincount(place, known.sum(axis=1), len(keys))
-            places = [_hand(key) for key in keys.tolist()] if name in self._dealt else keys.tolist()
             mine = self._sums.setdefault(name, {})
-            _add_cells(mine, zip(places, total.tolist(), count.tolist(), strict=True))
+            found = list(zip(keys.tolist(), total.tolist(), count.tolist(), strict=True))
+            if name in self._dealt:
+                self._deal(name, found)
+            else:
+                _add_cells(mine, found)
             if len(mine) > MAX_KEPT:
-                hands: dict[int, list[float]] = {}
-                self._sums[name] = hands
-                _add_cells(hands, ((_hand(key), s, c) for key, (s, c) in mine.items()))
+                self._sums[name] = {}
                 self._dealt.add(name)
+                self._deal(name, [(key, s, c) for key, (s, c) in mine.items()])
+
+    def _deal(self, name: str, found: list[tuple[int, float, float]]) -> None:
+        _add_cells(self._sums[name], ((_hand(key), s, c) for key, s, c in found))
+        if self._own_ids:
+            _add_cells(self._times.setdefault(name, {}), ((_hand(key & _TIME), s, c) for key, s, c in found))
+
+    def blocks(self, name: str, root: bool = False) -> Blocks | None:
+        """The sums in a form that another run on the same log has too; None without any sample."""
+        dealt = name in self._dealt
+        cells = self._times.get(name, {}) if dealt and self._own_ids else self._sums.get(name, {})
+        if self._own_ids and not dealt:
+            by_time: dict[int, list[float]] = {}
+            _add_cells(by_time, ((key & _TIME, s, c) for key, (s, c) in cells.items()))
+            cells = by_time
+        if not cells:
+            return None
+        keys = sorted(cells)
+        table = np.array([cells[key] for key in keys])
+        return Blocks(np.array(keys, dtype=np.int64), table[:, 0], table[:, 1], dealt, root)
 
     def count(self, name: str) -> int:
         return int(sum(c for _, c in self._sums.get(name, {}).values()))

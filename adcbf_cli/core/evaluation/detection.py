@@ -21,6 +21,7 @@ class DetectionScore:
         self._config = config
         self._block_ns = round(config.bootstrap_block_s * 1e9)
         self._sums = BlockSums()
+        self._of_tracks = BlockSums(own_ids=True)
         self._classes: set[str] = set()
 
     def add(
@@ -38,12 +39,16 @@ class DetectionScore:
         self._recall("recall", objects, cluster_m, stamp_ns)
         self._recall("track_recall", objects, track_m, stamp_ns)
         everything = np.zeros(len(cluster_m), dtype=np.int64)
-        for name, points, ids in (("precision", cluster_m, everything), ("moving_precision", moving_m, moving_id)):
+        judgements = (
+            ("precision", cluster_m, everything, self._sums),
+            ("moving_precision", moving_m, moving_id, self._of_tracks),
+        )
+        for name, points, ids, sums in judgements:
             judged = self._scene.labelled(points, stamp_ns, world_from_sensor)
             _, admissible = objects.compare(points[judged], self._config)
             right: FloatArray = np.any(admissible, axis=0).astype(np.float64)
             times = np.full(len(right), stamp_ns, dtype=np.int64)
-            self._sums.add(block_keys(ids[judged], times, self._block_ns), {name: right})
+            sums.add(block_keys(ids[judged], times, self._block_ns), {name: right})
 
     def _recall(self, name: str, objects: FrameObjects, point_m: FloatArray, stamp_ns: int) -> None:
         near = objects.where(objects.in_range)
@@ -79,11 +84,13 @@ class DetectionScore:
         return result
 
     def _share(self, name: str, sample: str, definition: str) -> Metric:
+        sums = self._of_tracks if name == "moving_precision" else self._sums
         return Metric(
-            self._sums.mean(name),
+            sums.mean(name),
             "1",
-            self._sums.count(name),
+            sums.count(name),
             sample,
             definition,
-            interval=self._sums.interval(name, lambda means: means),
+            interval=sums.interval(name, lambda means: means),
+            blocks=sums.blocks(name),
         )

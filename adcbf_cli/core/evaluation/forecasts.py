@@ -47,10 +47,11 @@ class Reference:
 class ForecastScore:
     """Running sums over predictions; nothing but sums is kept."""
 
-    def __init__(self, reference: Reference, horizons_s: tuple[float, ...]) -> None:
+    def __init__(self, reference: Reference, horizons_s: tuple[float, ...], own_ids: bool = False) -> None:
+        """own_ids: as in `BlockSums`."""
         self._reference = reference
         self._horizons_s = horizons_s
-        self._sums = BlockSums()
+        self._sums = BlockSums(own_ids)
         self._steps_s: set[float] = set()
         self._longest_s = 0.0
 
@@ -136,6 +137,7 @@ class ForecastScore:
             SAMPLE,
             f"mean of e' P^-1 e over x and y {when}; 2 if the covariance is right. Bounds hold for independent samples",
             interval=self._sums.interval(f"nees{tag}", lambda means: means),
+            blocks=self._sums.blocks(f"nees{tag}"),
             bounds=nees_bounds(n),
         )
         for name, text in _coverage_texts(what).items():
@@ -143,14 +145,17 @@ class ForecastScore:
         return result
 
     def _plain(self, key: str, unit: str, sample: str, definition: str) -> Metric:
-        interval = self._sums.interval(key, lambda means: means)
-        return Metric(self._sums.mean(key), unit, self._sums.count(key), sample, definition, interval=interval)
+        sums = self._sums
+        interval = sums.interval(key, lambda means: means)
+        return Metric(
+            sums.mean(key), unit, sums.count(key), sample, definition, interval=interval, blocks=sums.blocks(key)
+        )
 
     def _root(self, key: str, sample: str, definition: str) -> Metric:
         mean = self._sums.mean(key)
         value = None if mean is None else float(np.sqrt(mean))
-        interval = self._sums.interval(key, np.sqrt)
-        return Metric(value, "m", self._sums.count(key), sample, definition, interval=interval)
+        interval, blocks = self._sums.interval(key, np.sqrt), self._sums.blocks(key, root=True)
+        return Metric(value, "m", self._sums.count(key), sample, definition, interval=interval, blocks=blocks)
 
 
 def _coverage_texts(what: str) -> dict[str, str]:

@@ -29,8 +29,8 @@ class LaterSeen:
     """Feed it each frame's tracks and predictions in the order of time, then `finish`."""
 
     def __init__(self, config: EvaluationConfig) -> None:
-        self._all = ForecastScore(ALL, config.horizons_s)
-        self._moving = ForecastScore(MOVING, config.horizons_s)
+        self._all = ForecastScore(ALL, config.horizons_s, own_ids=True)
+        self._moving = ForecastScore(MOVING, config.horizons_s, own_ids=True)
         self._block_ns = round(config.bootstrap_block_s * 1e9)
         self._max_gap_ns = round(config.max_gap_s * 1e9)
         self._seen: deque[tuple[int, IntArray, FloatArray]] = deque()

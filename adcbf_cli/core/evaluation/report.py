@@ -7,6 +7,8 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
+from adcbf_cli.core.evaluation.blocks import Blocks
+
 SCHEMA_VERSION = 1
 
 
@@ -15,7 +17,8 @@ class Metric:
     """One number. value: None where there is no evidence. n: samples behind it, named by `sample`.
 
     interval: 95 % bootstrap interval, where one was drawn. bounds: where a consistent filter's
-    value lies with 95 % probability, for metrics that have such bounds.
+    value lies with 95 % probability, for metrics that have such bounds. blocks: what the value is the mean of,
+    where it is one.
     """
 
     value: float | None
@@ -25,6 +28,7 @@ class Metric:
     definition: str
     interval: tuple[float, float] | None = None
     bounds: tuple[float, float] | None = None
+    blocks: Blocks | None = field(default=None, repr=False, compare=False)
 
     def to_dict(self) -> dict[str, Any]:
         document: dict[str, Any] = {
