@@ -1,0 +1,107 @@
+"""`adcbf report`: run folders as one HTML page that needs no network, and as figures for a paper."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from adcbf_cli.commands.options import Json
+from adcbf_cli.core.errors import EXIT_DATA_LOST, UsageError
+
+if TYPE_CHECKING:
+    from adcbf_cli.io.html_report.gather import RunPage
+
+PAGE = "report.html"
+MOST_RUNS = 8
+
+
+def report(
+    runs: Annotated[
+        list[Path], typer.Argument(metavar="RUN...", help="Run folders of earlier commands.", show_default=False)
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Page to write; default: report.html in the (first) run."),
+    ] = None,
+    points: Annotated[
+        bool | None,
+        typer.Option("--points/--no-points", help="Show points; default: if stored, or the log is there and short."),
+    ] = None,
+    json_output: Json = False,
+) -> None:
+    """Write one HTML page that can be sent and opened without a network.
+
+    What was run and on what, scores, a top view that can be scrubbed through time, tracks and predictions, clearance,
+    barrier and gamma, planners with intervals, solve times, calibration, and every warning. Several runs stand side by
+    side. Only what the run folders hold is shown; the page names the command that would make what is missing.
+
+    Examples:
+
+        adcbf report drive.adcbf
+
+        adcbf report before.adcbf after.adcbf -o before_after.html
+
+        adcbf report drive.adcbf --no-points --json
+    """
+    from contextlib import ExitStack
+
+    from adcbf_cli.commands.terminal import print_json, progress, say
+    from adcbf_cli.io.atomic import check_target, write_text_atomically
+    from adcbf_cli.io.html_report.gather import PAGE_BYTES, Wishes, gather_run
+    from adcbf_cli.io.html_report.page import render
+    from adcbf_cli.io.run_folder import RunFolder
+
+    _check_runs(runs)
+    target = output or runs[0] / PAGE
+    check_target(target)
+    wishes = Wishes(points, PAGE_BYTES // len(runs))
+    with ExitStack() as stack:
+        for run in runs:
+            stack.enter_context(RunFolder(run).locked())
+        pages = [gather_run(run, wishes, progress) for run in runs]
+        write_text_atomically(target, render(pages))
+    if json_output:
+        print_json(_document(target, pages))
+    else:
+        print(target)
+        for page in pages:
+            for section, (reason, command) in page.missing.items():
+                say(f"{page.name}: no {section}: {reason}" + (f"; to add them: {command}" if command else ""))
+        say(f"{target.stat().st_size / 1e6:.1f} MB; open it in any browser, it needs no network")
+    if any(record.losses for page in pages for record in page.manifest.stages.values()):
+        raise typer.Exit(EXIT_DATA_LOST)
+
+
+def _check_runs(runs: list[Path]) -> None:
+    """UsageError for what is no run folder, the same one twice, or more than stand side by side."""
+    from adcbf_cli.io.run_folder import MANIFEST, RunFolder
+
+    for run in runs:
+        if not RunFolder.is_one(run):
+            hint = f"; make one: adcbf run {run}" if run.is_file() else ""
+            raise UsageError(f"{run}: not a run folder (no {MANIFEST}){hint}")
+    if len({run.resolve() for run in runs}) < len(runs):
+        raise UsageError("the same run folder is given twice")
+    if len(runs) > MOST_RUNS:
+        raise UsageError(f"{len(runs)} runs do not fit side by side; give {MOST_RUNS} at most")
+
+
+def _document(target: Path, pages: list[RunPage]) -> dict[str, Any]:
+    return {
+        "page": str(target),
+        "bytes": target.stat().st_size,
+        "runs": [
+            {
+                "run_folder": page.folder,
+                "warnings": [{"from": where, "text": text} for where, text in page.warnings],
+                "missing": [
+                    {"section": section, "why": why, "command": command or None}
+                    for section, (why, command) in page.missing.items()
+                ],
+                "thinned": page.thinned,
+            }
+            for page in pages
+        ],
+    }
