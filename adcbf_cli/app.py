@@ -21,6 +21,7 @@ from adcbf_cli.commands import (
     plan,
     predict,
     replay,
+    report,
     reproduce,
     run,
     simulate,
@@ -46,7 +47,7 @@ Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done but part of the input was lo
 threshold was missed.""",
 )
 
-for module in (info, run, cluster, track, predict, evaluate, plan, replay, simulate, reproduce):
+for module in (info, run, cluster, track, predict, evaluate, plan, replay, report, simulate, reproduce):
     app.command(module.__name__.rpartition(".")[2])(getattr(module, module.__name__.rpartition(".")[2]))
 app.command("batch", cls=batch.CommandAfterDashes)(batch.batch)
 app.add_typer(config.app, name="config")
