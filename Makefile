@@ -26,6 +26,7 @@ demo: $(VENV)/.installed ## Run the whole pipeline on the sample log and score i
 
 test: $(VENV)/.installed-dev ## Run the tests
 	scripts/open3d_libraries.sh $(BIN)/python
+	scripts/browser.sh
 	$(BIN)/python -m pytest
 
 lint: $(VENV)/.installed-dev ## Check style and types
