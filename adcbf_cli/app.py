@@ -5,6 +5,7 @@ Command modules import nothing heavy at their top, so that `adcbf --help` answer
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from typing import Annotated
@@ -15,6 +16,7 @@ import adcbf_cli
 from adcbf_cli.commands import (
     batch,
     cluster,
+    completion,
     config,
     evaluate,
     info,
@@ -34,6 +36,7 @@ EXIT_INTERRUPTED = 128 + signal.SIGINT
 app = typer.Typer(
     name="adcbf",
     no_args_is_help=True,
+    add_completion=False,  # `adcbf completion` has scripts of its own
     rich_markup_mode=None,  # rich would double the time that --help takes
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -51,6 +54,7 @@ for module in (info, run, cluster, track, predict, evaluate, plan, replay, repor
     app.command(module.__name__.rpartition(".")[2])(getattr(module, module.__name__.rpartition(".")[2]))
 app.command("batch", cls=batch.CommandAfterDashes)(batch.batch)
 app.add_typer(config.app, name="config")
+app.command("completion")(completion.completion)
 
 
 def _show_version(wanted: bool) -> None:
@@ -76,8 +80,12 @@ def _terminate(signal_number: int, _frame: object) -> None:
 def main() -> None:
     """The console entry point."""
     signal.signal(signal.SIGTERM, _terminate)
+    if "_ADCBF_COMPLETE" in os.environ:  # a completion script asks
+        from typer.completion import get_completion_inspect_parameters
+
+        get_completion_inspect_parameters()  # is what registers the shells' ways to ask
     try:
-        app()
+        app(prog_name="adcbf")
     except AdcbfError as error:
         print(f"adcbf: error: {error}", file=sys.stderr)
         sys.exit(error.exit_code)

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from adcbf_cli.commands import completing
 from adcbf_cli.commands.options import Shared, shared_options
 
 
@@ -13,7 +14,13 @@ from adcbf_cli.commands.options import Shared, shared_options
 def cluster(
     shared: Shared,
     clusterer: Annotated[
-        str | None, typer.Option("--clusterer", metavar="NAME", help="hdbscan (default) or dbscan.")
+        str | None,
+        typer.Option(
+            "--clusterer",
+            metavar="NAME",
+            help="hdbscan (default), dbscan, or one of an installed package.",
+            autocompletion=completing.clusterers,
+        ),
     ] = None,
     labels: Annotated[
         bool | None, typer.Option("--labels/--no-labels", help="Also write each point's cluster (table `points`).")

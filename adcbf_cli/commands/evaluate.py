@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from adcbf_cli.commands import completing
 from adcbf_cli.commands.options import Shared, shared_options
 from adcbf_cli.commands.terminal import print_json, print_table, say, show_notes
 from adcbf_cli.core.errors import EXIT_THRESHOLD
@@ -23,7 +24,11 @@ if TYPE_CHECKING:
 TruthOption = Annotated[
     str | None,
     typer.Option(
-        "--truth", "-t", metavar="FILE|topic:/NAME", help="Ground truth: CSV, KITTI labels, TUM poses, or a pose topic."
+        "--truth",
+        "-t",
+        metavar="FILE|topic:/NAME",
+        help="Ground truth: CSV, KITTI labels, TUM poses, or a pose topic.",
+        autocompletion=completing.truth_topics,
     ),
 ]
 FailOn = Annotated[

@@ -17,6 +17,7 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
+from adcbf_cli.commands import completing
 from adcbf_cli.core.errors import UsageError
 
 _MOST_SEEDS = 10_000
@@ -25,7 +26,9 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON document inst
 ConfigFile = Annotated[Path | None, typer.Option("--config", "-c", help="YAML file with settings.")]
 Settings = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="STAGE.KEY=VALUE", help="One setting; repeatable."),
+    typer.Option(
+        "--set", metavar="STAGE.KEY=VALUE", help="One setting; repeatable.", autocompletion=completing.settings
+    ),
 ]
 
 
@@ -43,11 +46,18 @@ class Shared:
     settings: Settings = None
     lidar: Annotated[
         list[str] | None,
-        typer.Option("--lidar", metavar="TOPIC", help="LiDAR topic; twice: fuse."),
+        typer.Option(
+            "--lidar", metavar="TOPIC", help="LiDAR topic; twice: fuse.", autocompletion=completing.lidar_topics
+        ),
     ] = None
     pose: Annotated[
         str | None,
-        typer.Option("--pose", metavar="TOPIC|tf|none", help="Where the sensor was."),
+        typer.Option(
+            "--pose",
+            metavar="TOPIC|tf|none",
+            help="Where the sensor was.",
+            autocompletion=completing.pose_sources,
+        ),
     ] = None
     extrinsic: Annotated[
         list[str] | None,
@@ -92,18 +102,31 @@ class Driving:
 
     planner: Annotated[
         list[str] | None,
-        typer.Option("--planner", "-p", metavar="NAME|all", help="Planner, repeatable; default ad-cbf-mpc."),
+        typer.Option(
+            "--planner",
+            "-p",
+            metavar="NAME|all",
+            help="Planner, repeatable; default ad-cbf-mpc.",
+            autocompletion=completing.planners,
+        ),
     ] = None
     truth: Annotated[
         str | None,
         typer.Option(
-            "--truth", "-t", metavar="FILE|topic:/NAME", help="Where obstacles really were; default: smoothed tracks."
+            "--truth",
+            "-t",
+            metavar="FILE|topic:/NAME",
+            help="Where obstacles really were; default: smoothed tracks.",
+            autocompletion=completing.truth_topics,
         ),
     ] = None
     reference: Annotated[
         str | None,
         typer.Option(
-            "--reference", metavar="FILE|topic:/NAME", help="Path to follow: CSV or Path; default: the log's."
+            "--reference",
+            metavar="FILE|topic:/NAME",
+            help="Path to follow: CSV or Path; default: the log's.",
+            autocompletion=completing.reference_topics,
         ),
     ] = None
     goal: Annotated[
@@ -112,11 +135,23 @@ class Driving:
     speed_mps: Annotated[
         float | None, typer.Option("--speed", metavar="MPS", help="Speed along the reference; default 0.75.")
     ] = None
-    vehicle: Annotated[str | None, typer.Option("--vehicle", metavar="KIND", help="unicycle (default), ackermann.")] = (
-        None
-    )
+    vehicle: Annotated[
+        str | None,
+        typer.Option(
+            "--vehicle",
+            metavar="KIND",
+            help="unicycle (default), ackermann.",
+            autocompletion=completing.one_of("unicycle", "ackermann"),
+        ),
+    ] = None
     solver: Annotated[
-        str | None, typer.Option("--solver", metavar="NAME", help="sqp (default), piqp, ipopt, fatrop.")
+        str | None,
+        typer.Option(
+            "--solver",
+            metavar="NAME",
+            help="sqp (default), piqp, ipopt, fatrop.",
+            autocompletion=completing.one_of("sqp", "piqp", "ipopt", "fatrop"),
+        ),
     ] = None
     hard: Annotated[
         bool | None, typer.Option("--hard", help="No slack in the barriers; infeasible steps are counted.")
@@ -124,7 +159,10 @@ class Driving:
     against: Annotated[
         str | None,
         typer.Option(
-            "--against", metavar="NAME", help="Planner that the others are compared with; default: the first."
+            "--against",
+            metavar="NAME",
+            help="Planner that the others are compared with; default: the first.",
+            autocompletion=completing.planners,
         ),
     ] = None
     fail_on: Annotated[

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from adcbf_cli.commands import completing
 from adcbf_cli.commands.options import Json
 from adcbf_cli.core.reproduction import PARTS
 
@@ -24,7 +25,13 @@ README_TITLE = "# The paper, reproduced"
 
 def reproduce(
     parts: Annotated[
-        list[str], typer.Argument(metavar="PART...", help=f"{', '.join(PARTS)}, or all.", show_default=False)
+        list[str],
+        typer.Argument(
+            metavar="PART...",
+            help=f"{', '.join(PARTS)}, or all.",
+            show_default=False,
+            autocompletion=completing.one_of(*PARTS, "all"),
+        ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", metavar="FOLDER", help="Folder to write.")] = Path(
         "reproduction"

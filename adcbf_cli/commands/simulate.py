@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from adcbf_cli.commands import completing
 from adcbf_cli.commands.closed_loop import ClosedLoop, run_closed_loop
 from adcbf_cli.commands.options import shared_options
 from adcbf_cli.commands.terminal import print_json, print_table, progress
@@ -18,7 +19,10 @@ def simulate(
     scenario: Annotated[
         str,
         typer.Argument(
-            metavar="SCENARIO", help="Scenario file (YAML), or one that comes along by name.", show_default=False
+            metavar="SCENARIO",
+            help="Scenario file (YAML), or one that comes along by name.",
+            show_default=False,
+            autocompletion=completing.scenarios,
         ),
     ],
     options: ClosedLoop,

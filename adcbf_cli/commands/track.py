@@ -6,10 +6,27 @@ from typing import Annotated
 
 import typer
 
+from adcbf_cli.commands import completing
 from adcbf_cli.commands.options import Shared, shared_options
 
-Filter = Annotated[str | None, typer.Option("--filter", metavar="NAME", help="ukf (default), ekf or kf.")]
-Model = Annotated[str | None, typer.Option("--model", metavar="NAME", help="Motion model; see the docs for the names.")]
+Filter = Annotated[
+    str | None,
+    typer.Option(
+        "--filter",
+        metavar="NAME",
+        help="ukf (default), ekf or kf.",
+        autocompletion=completing.one_of("ukf", "ekf", "kf"),
+    ),
+]
+Model = Annotated[
+    str | None,
+    typer.Option(
+        "--model",
+        metavar="NAME",
+        help="Motion model: cv (default), ca, ct, or one of an installed package.",
+        autocompletion=completing.motion_models,
+    ),
+]
 
 
 @shared_options
