@@ -31,7 +31,7 @@ from time import perf_counter_ns
 from typing import Any
 
 from adcbf_cli.commands.options import parse_seeds
-from adcbf_cli.core.config import Config
+from adcbf_cli.core.config import CLOSED_LOOP, Config, PlanningConfig
 from adcbf_cli.core.planning.presets import make_planner
 from adcbf_cli.core.replay.sensor_loop import KnowledgeSource, drive_scene
 from adcbf_cli.core.simulation.parsing import parse_scenario
@@ -56,7 +56,7 @@ class Loop:
     solver: str
 
     def config(self) -> Config:
-        return Config.model_validate({"planning": {"solver": self.solver}})
+        return CLOSED_LOOP.model_copy(update={"planning": PlanningConfig(solver=self.solver)})
 
 
 ADCBF = Loop("adcbf", "perception", "sqp")
@@ -171,7 +171,7 @@ def measure(scenes: Sequence[str], ipopt: int) -> dict[str, Any]:
 
 def tables(result: dict[str, Any]) -> str:
     """The result as Markdown."""
-    parts = [f"`{result['planner']}`, planning at {Config().planning.rate_hz:g} Hz, one core, one thread.\n"]
+    parts = [f"`{result['planner']}`, planning at {CLOSED_LOOP.planning.rate_hz:g} Hz, one core, one thread.\n"]
     rows: list[list[object]] = []
     for found in result["scenes"]:
         for name, loop in found["loops"].items():

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from adcbf_cli.commands import completing
 from adcbf_cli.commands.options import ConfigFile, Settings, parse_seeds
 from adcbf_cli.commands.scene_runs import LOGS, RecordedTask, remove_scene_log, run_and_record
 from adcbf_cli.commands.terminal import COMPILING, patience, print_json, print_table, say
@@ -38,20 +39,41 @@ class ClosedLoop:
     ] = None
     planner: Annotated[
         list[str] | None,
-        typer.Option("--planner", "-p", metavar="NAME|all", help="Closed loop: repeatable; default ad-cbf-mpc."),
+        typer.Option(
+            "--planner",
+            "-p",
+            metavar="NAME|all",
+            help="Closed loop: repeatable; default ad-cbf-mpc.",
+            autocompletion=completing.planners,
+        ),
     ] = None
     jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, help="Closed loop: runs at once.")] = 1
     knowledge: Annotated[
         str,
-        typer.Option("--knowledge", metavar="perception|perfect", help="Closed loop: what planners know."),
+        typer.Option(
+            "--knowledge",
+            metavar="perception|perfect",
+            help="Closed loop: what planners know.",
+            autocompletion=completing.one_of("perception", "perfect"),
+        ),
     ] = "perception"
     record: Annotated[
         str,
-        typer.Option("--record", metavar="none|collisions|all", help="Closed loop: runs to write out as logs."),
+        typer.Option(
+            "--record",
+            metavar="none|collisions|all",
+            help="Closed loop: runs to write out as logs.",
+            autocompletion=completing.one_of("none", "collisions", "all"),
+        ),
     ] = "collisions"
     against: Annotated[
         str | None,
-        typer.Option("--against", metavar="NAME", help="Closed loop: planner that the others are compared with."),
+        typer.Option(
+            "--against",
+            metavar="NAME",
+            help="Closed loop: planner that the others are compared with.",
+            autocompletion=completing.planners,
+        ),
     ] = None
     fail_on: Annotated[
         list[str] | None,
@@ -112,7 +134,7 @@ def _plan(
     """Everything that can be wrong in what was asked is found before any work is done. The runs are kept by planner
     and seed, and, of another package's planner, its version."""
     from adcbf_cli.commands.driving import planner_names
-    from adcbf_cli.core.config import Config
+    from adcbf_cli.core.config import CLOSED_LOOP
     from adcbf_cli.core.evaluation.monte_carlo import metric_names
     from adcbf_cli.core.evaluation.scene_runs import SceneTask
     from adcbf_cli.core.evaluation.thresholds import check_names, parse_threshold
@@ -134,7 +156,7 @@ def _plan(
         raise UsageError(f"--against {options.against}: not among the planners that run: {', '.join(names)}")
     thresholds = [parse_threshold(word) for word in options.fail_on or []]
     check_names(thresholds, metric_names(names))
-    config = resolve_config(Config(), options.config, options.settings or ())
+    config = resolve_config(CLOSED_LOOP, options.config, options.settings or ())
     seeds = None if options.seeds is None else parse_seeds(options.seeds)
     scenario = parse_scenario(text, stem, seed if seeds is None else seeds[0])
     check_duration(route_of(scenario, config), config)

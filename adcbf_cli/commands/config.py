@@ -19,13 +19,10 @@ def dump(config: ConfigFile = None, settings: Settings = None) -> None:
 
         adcbf config dump --set tracking.filter=ekf
     """
-    import yaml
-
     from adcbf_cli.core.config import Config
-    from adcbf_cli.io.settings import resolve_config
+    from adcbf_cli.io.settings import resolve_config, settings_yaml
 
-    resolved = resolve_config(Config(), config, settings or ())
-    print(yaml.safe_dump(resolved.model_dump(mode="json"), sort_keys=False), end="")
+    print(settings_yaml(resolve_config(Config(), config, settings or ())), end="")
 
 
 @app.command()

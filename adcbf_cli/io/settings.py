@@ -26,6 +26,11 @@ _SELF_EXPLAINING = ("missing", "extra_forbidden", "unknown_name")
 """Findings whose text says already what was given."""
 
 
+def settings_yaml(config: Config) -> str:
+    """All settings as a file that `--config` takes."""
+    return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
+
+
 def resolve_config(
     base: Config,
     file: Path | None = None,

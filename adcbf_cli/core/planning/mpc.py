@@ -14,10 +14,11 @@ from adcbf_cli.core.config import PlanningConfig
 from adcbf_cli.core.planning import fallback, pursuit, starts
 from adcbf_cli.core.planning.barrier import Barrier, gamma_at
 from adcbf_cli.core.planning.columns import Columns, ObstacleSet, can_bind, columns_of, nearest
+from adcbf_cli.core.planning.evasion import room_m, roomy_ways
 from adcbf_cli.core.planning.merit import barrier_rows, merit, merits, rows_along
 from adcbf_cli.core.planning.planner import Details, Outcome, Plan, Situation
 from adcbf_cli.core.planning.problem import Instance, Problem, Solution, SolverStatus, Weights
-from adcbf_cli.core.planning.sampled import room_m, sampled_starts, sampled_ways
+from adcbf_cli.core.planning.sampled import sampled_starts
 from adcbf_cli.core.planning.solvers.base import make_solver
 from adcbf_cli.core.types import FloatArray, Notes
 from adcbf_cli.core.vehicles.vehicle import Vehicle
@@ -98,29 +99,30 @@ class MpcPlanner:
         if outcome is Outcome.BRAKED:
             return self._braked(situation, details)
         if ladder and outcome is Outcome.RELAXED:
-            return self._evading(scene, poses) or self._relaxed(scene, Plan(outcome, inputs, poses, details))
+            return self._evading(scene, poses) or self._relaxed(scene, inputs, poses, details)
         return Plan(outcome, inputs, poses, details)
 
-    def _relaxed(self, scene: _Scene, plan: Plan) -> Plan:
+    def _relaxed(self, scene: _Scene, inputs: FloatArray, poses: FloatArray, details: Details) -> Plan:
         """The plan that violates a barrier, or braking."""
-        if plan.details is None or self._may_relax(scene, plan.poses):
-            return plan
-        return self._braked(scene.situation, plan.details)
+        if self._may_relax(scene, poses):
+            return Plan(Outcome.RELAXED, inputs, poses, details)
+        return self._braked(scene.situation, details)
 
     def _evading(self, scene: _Scene, poses: FloatArray) -> Plan | None:
         """Where the plan at these poses comes nearer to what moves than it should: of the last way taken, braking and
-        sampled ways the one that keeps the most room, if it keeps EVADE_GAIN_M more; else None."""
+        the ways that a search finds the one that keeps the most room, if it keeps EVADE_GAIN_M more; else None."""
         problem, known, situation = self._problem, scene.known, scene.situation
         moving = np.abs(known.centre_m[:, -1] - known.centre_m[:, 0]).max(axis=1, initial=0.0) > 0.0
-        if float(room_m(poses[None], known.centre_m[moving], known.keep_out_m[moving])[0]) >= 0.0:
+        if float(room_m(poses[None], known.taken(moving))[0]) >= 0.0:
             return None
         brake = fallback.braking(problem.vehicle, situation, problem.steps, problem.step_s, problem.first_step_s)
-        ways = [brake.inputs[None], sampled_ways(problem, situation.inputs)]
+        found = roomy_ways(problem, situation.pose, situation.inputs, known, scene.instance.reference)
+        ways = [brake.inputs[None], found]
         if "shifted" in scene.guesses:
             ways.insert(0, scene.guesses["shifted"][None])
         inputs = np.concatenate(ways)
         driven, worth = merits(problem, scene.instance, inputs)
-        room = room_m(np.concatenate([poses[None], driven]), known.centre_m, known.keep_out_m)
+        room = room_m(np.concatenate([poses[None], driven]), known)
         most = float(room[1:].max())
         if most < float(room[0]) + EVADE_GAIN_M:
             return None

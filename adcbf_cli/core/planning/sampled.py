@@ -3,10 +3,6 @@
 Where the previous plan and the path both lead into a barrier, or to standing still, a solver that
 descends from them stays there. Ways that turn, swerve, hurry or brake are tried by their merit alone,
 which costs little, and the solver goes on from the best.
-
-Where no plan keeps clear of what moves, merit is a bad guide: it adds up what every stage violates, and
-every stage's barrier is violated by what comes fast, however far it still is, so that the cheapest plan
-is to slow down and be hit. There the way that keeps the most room is the better one.
 """
 
 from __future__ import annotations
@@ -33,7 +29,7 @@ APART_M = 0.5
 
 def sampled_starts(problem: Problem, instance: Instance, count: int) -> list[FloatArray]:
     """Up to `count` inputs (N, 2) within the vehicle's limits, the best by merit first."""
-    ways = sampled_ways(problem, instance.last_inputs)
+    ways = _sampled_ways(problem, instance.last_inputs)
     poses, worth = merits(problem, instance, ways)
     chosen: list[int] = []
     for i in np.argsort(worth, kind="stable").tolist():
@@ -45,15 +41,7 @@ def sampled_starts(problem: Problem, instance: Instance, count: int) -> list[Flo
     return [ways[i] for i in chosen]
 
 
-def room_m(poses: FloatArray, centre_m: FloatArray, keep_out_m: FloatArray) -> FloatArray:
-    """(K,) by how much K ways (K, N + 1, 3) keep farther from n obstacles than they should, at their worst: centres
-    (n, N + 1, 2), centre distances to keep (n, N + 1). More room than asked for is not better: at most 0."""
-    gap = centre_m[None] - poses[:, None, :, :2]
-    spare = np.hypot(gap[..., 0], gap[..., 1]) - keep_out_m[None]
-    return np.asarray(np.minimum(spare.min(axis=(1, 2), initial=np.inf), 0.0))
-
-
-def sampled_ways(problem: Problem, last: FloatArray) -> FloatArray:
+def _sampled_ways(problem: Problem, last: FloatArray) -> FloatArray:
     """(K, N, 2) inputs that go to what is wanted as fast as the limits allow, from `last` (2,)."""
     vehicle, steps = problem.vehicle, problem.steps
     fastest, sharpest = float(vehicle.input_max[0]), float(vehicle.input_max[1])

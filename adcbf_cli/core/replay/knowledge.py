@@ -8,7 +8,7 @@ its place or the log's vehicle drives over it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -95,6 +95,8 @@ class Knowledge:
     ) -> Obstacles:
         """Obstacles whose surface, now, is within `range_m` of the ego's place (2,), over `steps` steps.
 
+        Where the ego is nothing else is: what is believed to be centred in its body is not told, and circles
+        that reach into it are trimmed to leave it free.
         Positions are interpolated between the record's steps, and go on with the last one's velocity
         after them. Margins are the record's, interpolated, and go on growing as they last did; where
         the conformal one is missing, sigma's is taken, and counted.
@@ -102,9 +104,10 @@ class Knowledge:
         everything = self._all(stamp_ns, steps, step_s, uncertainty)
         if not len(everything):
             return everything
-        offset = everything.position_m[:, 0] - ego_m
-        near = np.hypot(offset[:, 0], offset[:, 1]) - everything.radius_m <= range_m
-        return Obstacles(*(getattr(everything, name)[near] for name in Obstacles.__slots__))
+        distance_m = np.hypot(*(everything.position_m[:, 0] - ego_m).T)
+        told = (distance_m - everything.radius_m <= range_m) & (distance_m > self._body_radius_m)
+        near = Obstacles(*(getattr(everything, name)[told] for name in Obstacles.__slots__))
+        return replace(near, radius_m=np.minimum(near.radius_m, distance_m[told] - self._body_radius_m))
 
     def _all(self, stamp_ns: int, steps: int, step_s: float, uncertainty: Uncertainty) -> Obstacles:
         if self._seen is not None and not self._ended and stamp_ns - self._seen.stamp_ns > STALE_NS:

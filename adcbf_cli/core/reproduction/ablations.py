@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from adcbf_cli.core.config import Config
+from adcbf_cli.core.config import CLOSED_LOOP
 from adcbf_cli.core.evaluation.monte_carlo import study
 from adcbf_cli.core.evaluation.scene_runs import SceneTask
 from adcbf_cli.core.reproduction.ablations_cases import (
@@ -131,5 +131,5 @@ PART = Part(
     summarise=summarise,
     markdown=markdown,
     figure=True,
-    settings={"scene": scenario_text(SCENE), "config": Config().model_dump(mode="json")},
+    settings={"scene": scenario_text(SCENE), "config": CLOSED_LOOP.model_dump(mode="json")},
 )

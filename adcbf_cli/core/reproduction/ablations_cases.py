@@ -93,7 +93,7 @@ _PREVIOUS = {"planning.gamma_at": "previous"}
 GROUPS = (
     Group(
         "What perception costs",
-        "Everything within 4 m is known with its true future, or seen by the planner's own LiDAR, clustered, tracked "
+        "Everything within 7 m is known with its true future, or seen by the planner's own LiDAR, clustered, tracked "
         "and predicted. The difference is perception minus perfect knowledge.",
         _pairs("perfect knowledge", "perception", {"knowledge": "perception"}),
     ),
@@ -144,12 +144,14 @@ GROUPS = (
     Group(
         "What is not in the paper",
         "With perception. By default obstacles are widened by the 95 % radius of their predicted position (sigma), and "
-        "where a plan breaks a barrier or stands, sampled ways are tried too (three starts).",
+        "where a plan breaks a barrier or stands, sampled ways are tried too (three starts); the LiDAR's cloud is "
+        "cropped to 16 x 16 m, and planners are told what is within 7 m.",
         _seen(
             {
                 "no margin": {"planning.uncertainty": "none"},
                 "conformal margin": {"planning.uncertainty": "conformal"},
                 "two starts": {"planning.starts": 2},
+                "the paper's 8 x 8 m": {"perception.range_m": 4.0, "replay.range_m": 4.0},
                 "no margin, two starts": {"planning.uncertainty": "none", "planning.starts": 2},
             }
         ),

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from adcbf_cli.core.config import Config
+from adcbf_cli.core.config import CLOSED_LOOP, Config
 from adcbf_cli.core.evaluation.scene_runs import SceneTask, run_scene
 from adcbf_cli.core.reproduction.part import Row
 
@@ -21,11 +21,11 @@ def drive(task: SceneTask) -> Row:
 
 
 def config_with(settings: Mapping[str, Any]) -> Config:
-    """The defaults with these settings, by dotted keys (`planning.steps`)."""
-    nested: dict[str, dict[str, Any]] = {}
+    """The closed loop's defaults with these settings, by dotted keys (`planning.steps`)."""
+    nested: dict[str, dict[str, Any]] = CLOSED_LOOP.model_dump()
     for key, value in settings.items():
         stage, name = key.split(".", 1)
-        nested.setdefault(stage, {})[name] = value
+        nested[stage][name] = value
     return Config.model_validate(nested)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from adcbf_cli.core.config import Config
+from adcbf_cli.core.config import CLOSED_LOOP
 from adcbf_cli.core.evaluation.scene_runs import PATH_STEP_S, SceneTask
 from adcbf_cli.core.replay.simulated_world import SimulatedWorld
 from adcbf_cli.core.replay.world import WorldObjects
@@ -47,8 +47,8 @@ def summarise(rows: Sequence[Row]) -> Document:
         "met_by": shown["planner"],
         "drawn": {
             "route_m": _rounded(route),
-            "goal_tolerance_m": Config().replay.goal_tolerance_m,
-            "body_radius_m": Config().vehicle.body_radius_m,
+            "goal_tolerance_m": CLOSED_LOOP.replay.goal_tolerance_m,
+            "body_radius_m": CLOSED_LOOP.vehicle.body_radius_m,
             "standing": [
                 shape | {"ellipse": thing.kind == "rock"}
                 for shape, thing in zip(
@@ -97,7 +97,7 @@ def _movers(world: SimulatedWorld, count: int, shown: Row, start_ns: int, until_
     stamps = start_ns + np.round(time_s * NS_PER_S).astype(np.int64)
     gap = np.array(
         [
-            world.at(int(stamp)).clearance(place[None], Config().vehicle.body_radius_m)[0, :count]
+            world.at(int(stamp)).clearance(place[None], CLOSED_LOOP.vehicle.body_radius_m)[0, :count]
             for stamp, place in zip(stamps, path, strict=True)
         ]
     ).reshape(-1, count)

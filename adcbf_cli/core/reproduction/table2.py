@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from adcbf_cli.core.config import Config
+from adcbf_cli.core.config import CLOSED_LOOP
 from adcbf_cli.core.evaluation.comparison import Difference
 from adcbf_cli.core.evaluation.monte_carlo import MonteCarlo, study
 from adcbf_cli.core.evaluation.scene_runs import SceneTask
@@ -33,7 +33,7 @@ ENDS = ("success", "collision", "avoidable_collision", "timeout", "freeze")
 def tasks(seeds: Sequence[int]) -> dict[str, SceneTask]:
     """Seed by seed, so that runs that stop half-way have all planners of the scenes that they had."""
     text = scenario_text(SCENE)
-    made = [SceneTask(text, SCENE, seed, planner, Config()) for seed in seeds for planner in PLANNERS]
+    made = [SceneTask(text, SCENE, seed, planner, CLOSED_LOOP) for seed in seeds for planner in PLANNERS]
     return {task.run_id: task for task in made}
 
 
@@ -79,7 +79,7 @@ def _scenes(rows: Sequence[Row]) -> dict[str, list[float]]:
 
 def _settings() -> dict[str, Any]:
     """What the runs are made with: the package's defaults."""
-    config = Config().model_dump(mode="json")
+    config = CLOSED_LOOP.model_dump(mode="json")
     return {stage: config[stage] for stage in ("perception", "tracking", "prediction", "vehicle", "planning", "replay")}
 
 

@@ -7,12 +7,10 @@ import pytest
 
 from adcbf_cli.core.planning.barrier import AdaptiveGamma, Barrier, FixedGamma
 from adcbf_cli.core.planning.columns import columns_of
-from adcbf_cli.core.planning.fallback import surface_m
 from adcbf_cli.core.planning.merit import merit, merits
 from adcbf_cli.core.planning.mpc import problem_of
-from adcbf_cli.core.planning.planner import Outcome
 from adcbf_cli.core.planning.problem import Instance, Problem
-from adcbf_cli.core.planning.sampled import APART_M, room_m, sampled_starts
+from adcbf_cli.core.planning.sampled import APART_M, sampled_starts
 from tests.core.planning.told import PLANNING, VEHICLE, Discs, constant, seen, situation, told
 
 
@@ -78,49 +76,3 @@ def test_the_plan_says_where_it_came_from() -> None:
     assert plan.details is not None
     assert plan.details.start == "sampled"
     assert plan.inputs[10, 0] == pytest.approx(0.6)
-
-
-COMING: Discs = [(3.0, 0.1, -1.0, 0.0, 0.3)]
-
-
-def test_a_plan_that_is_run_over_gives_way_to_the_roomiest_one() -> None:
-    made, _ = told(constant(0.1))
-    evading = made.plan(situation(COMING, inputs=(0.7, 0.0)))
-    assert evading.details is not None
-    assert (evading.outcome, evading.details.start) == (Outcome.RELAXED, "evading")
-    known = seen(COMING)
-    crawling = VEHICLE.roll_out(np.zeros(3), constant(0.1).inputs, 0.1)
-    rooms = [surface_m(p, known.position_m, known.radius_m, 0.3).min() for p in (crawling, evading.poses)]
-    assert rooms[0] < 0.0 < rooms[1]
-    np.testing.assert_array_equal(
-        evading.inputs, VEHICLE.within_limits(evading.inputs, np.array([0.7, 0.0]), 0.1, 1 / 30)
-    )
-
-
-def test_nothing_is_evaded_that_stands_or_is_passed_with_room() -> None:
-    standing: Discs = [(0.75, 0.0, 0.0, 0.0, 0.3)]
-    made, _ = told(constant(0.7))
-    plan = made.plan(situation(standing, inputs=(0.7, 0.0)))
-    assert plan.details is not None
-    assert plan.details.start != "evading"
-    aside: Discs = [(2.2, 1.2, -1.3, 0.0, 0.3)]
-    made, _ = told(constant(0.7))
-    plan = made.plan(situation(aside, inputs=(0.7, 0.0)))
-    assert plan.details is not None
-    assert plan.details.start != "evading"
-
-
-def test_a_planner_that_holds_what_moves_has_nothing_to_evade() -> None:
-    made, _ = told(constant(0.1), name="mpc-cbf")
-    plan = made.plan(situation(COMING, inputs=(0.7, 0.0)))
-    assert plan.details is not None
-    assert plan.details.start != "evading"
-
-
-def test_room_is_what_is_missing_at_the_worst() -> None:
-    poses = np.zeros((2, 3, 3))
-    poses[1, :, 1] = -1.0
-    centre = np.array([[[1.0, 0.0], [0.9, 0.0], [0.8, 0.0]]])
-    keep_out = np.array([[0.7, 0.8, 0.9]])
-    np.testing.assert_allclose(room_m(poses, centre, keep_out), [-0.1, 0.0])
-    assert room_m(poses, np.zeros((0, 3, 2)), np.zeros((0, 3))).tolist() == [0.0, 0.0]

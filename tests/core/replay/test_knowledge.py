@@ -130,6 +130,16 @@ def test_where_the_logs_vehicle_drives_nothing_stands(predicted: Make) -> None:
     assert len(known.obstacles(200 * MS, np.zeros(2), 10.0, 2, 0.1, "none")) == 0
 
 
+def test_where_the_ego_is_nothing_else_is(predicted: Make) -> None:
+    known = Knowledge(Notes(), body_radius_m=0.3)
+    known.update(predicted(0, [[1.0, 0.0], [0.0, 2.0], [-0.2, 0.1]], np.zeros((3, 2)), radius_m=np.full(3, 0.8)))
+    told = known.obstacles(0, np.zeros(2), 10.0, 2, 0.1, "none")
+    assert told.track_id.tolist() == [0, 1]
+    np.testing.assert_allclose(told.radius_m, [0.7, 0.8])
+    elsewhere = known.obstacles(0, np.array([0.0, -3.0]), 10.0, 2, 0.1, "none")
+    np.testing.assert_allclose(elsewhere.radius_m, 0.8)
+
+
 def test_the_vehicles_own_body_is_no_obstacle(predicted: Make) -> None:
     notes = Notes()
     known = Knowledge(notes, body_radius_m=0.3)
