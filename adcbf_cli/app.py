@@ -16,6 +16,7 @@ import adcbf_cli
 from adcbf_cli.commands import (
     batch,
     cluster,
+    compare,
     completion,
     config,
     evaluate,
@@ -50,7 +51,7 @@ Exit codes: 0 done, 1 failed, 2 wrong usage, 3 done but part of the input was lo
 threshold was missed.""",
 )
 
-for module in (info, run, cluster, track, predict, evaluate, plan, replay, report, simulate, reproduce):
+for module in (info, run, cluster, track, predict, evaluate, compare, plan, replay, report, simulate, reproduce):
     app.command(module.__name__.rpartition(".")[2])(getattr(module, module.__name__.rpartition(".")[2]))
 app.command("batch", cls=batch.CommandAfterDashes)(batch.batch)
 app.add_typer(config.app, name="config")

@@ -33,7 +33,8 @@ def read_scored_run(path: Path, name: str) -> ScoredRun:
     truth: Any = None
     if report is not None:
         with _unreadable(path / JSON_NAME):
-            metrics = {n: _metric(m) for n, m in report["metrics"].items() if n.partition(".")[0] not in DRIVING}
+            found = {n: m for n, m in report["metrics"].items() if n.partition(".")[0] not in DRIVING}
+            metrics = {printable(n): _metric(m) for n, m in found.items()}
             truth = _truth(report)
     driven: dict[Kind, Driven] = {}
     driving = {kind: _document(path / place / JSON_NAME) for kind, place in DRIVING.items()}
@@ -138,6 +139,7 @@ def _driving_metrics(kind: str, comparison: Mapping[str, Any]) -> dict[str, Metr
 def _driven(document: Mapping[str, Any]) -> Driven:
     config = document["config"]
     starts = {
+        "world": document["world"],
         "route": document["route"],
         "rate_hz": config["planning"]["rate_hz"],
         "replay": {key: value for key, value in config["replay"].items() if key.startswith("start_")},

@@ -117,15 +117,40 @@ class BlockSums:
         if len(cells) < MIN_BLOCKS:
             return None
         table = np.array([cells[key] for key in sorted(cells)])
-        rng = np.random.default_rng(zlib.crc32(name.encode()))
-        if len(table) > MAX_BLOCKS:  # at random: dealing in order would even out what differs between objects
-            hands = np.zeros((MAX_BLOCKS, 2))
-            np.add.at(hands, rng.permutation(len(table)) % MAX_BLOCKS, table)
-            table = hands
-        share = np.full(len(table), 1.0 / len(table))
-        means = np.concatenate([_resampled_means(rng, table, share) for _ in range(RESAMPLES // _CHUNK)])
-        low, high = np.quantile(transform(means), [0.025, 0.975])
+        drawn = _resampled_sums(table, name)
+        low, high = np.quantile(transform(drawn[:, 0] / drawn[:, 1]), [0.025, 0.975])
         return float(low), float(high)
+
+
+def paired_interval(base: Blocks, other: Blocks, name: str) -> tuple[float, float] | None:
+    """95 % percentile interval of a metric in `other` minus the same in `base`, over resamples of the blocks that
+    either has, drawn alike for both (seeded by the name); None with fewer than MIN_BLOCKS."""
+    if base.dealt or other.dealt:
+        base, other = _in_hands(base), _in_hands(other)
+    keys = np.union1d(base.keys, other.keys)
+    if len(keys) < MIN_BLOCKS:
+        return None
+    table = np.zeros((len(keys), 4))
+    for blocks, column in ((base, 0), (other, 2)):
+        rows = np.searchsorted(keys, blocks.keys)
+        table[rows, column], table[rows, column + 1] = blocks.sums, blocks.counts
+    drawn = _resampled_sums(table, name)
+    drawn = drawn[(drawn[:, 1] > 0) & (drawn[:, 3] > 0)]
+    means = drawn[:, [0, 2]] / drawn[:, [1, 3]]
+    if base.root:
+        means = np.sqrt(means)
+    low, high = np.quantile(means[:, 1] - means[:, 0], [0.025, 0.975])
+    return float(low), float(high)
+
+
+def _in_hands(blocks: Blocks) -> Blocks:
+    if blocks.dealt:
+        return blocks
+    cells: dict[int, list[float]] = {}
+    rows = zip(blocks.keys.tolist(), blocks.sums.tolist(), blocks.counts.tolist(), strict=True)
+    _add_cells(cells, ((_hand(key), s, c) for key, s, c in rows))
+    table = np.array([cells[hand] for hand in sorted(cells)])
+    return Blocks(np.array(sorted(cells), dtype=np.int64), table[:, 0], table[:, 1], True, blocks.root)
 
 
 def _add_cells(cells: dict[int, list[float]], more: Iterable[tuple[int, float, float]]) -> None:
@@ -142,7 +167,14 @@ def _hand(key: int) -> int:
     return zlib.crc32(key.to_bytes(8, "little", signed=True)) % MAX_BLOCKS
 
 
-def _resampled_means(rng: np.random.Generator, table: FloatArray, share: FloatArray) -> FloatArray:
-    drawn = rng.multinomial(len(table), share, size=_CHUNK) @ table
-    means: FloatArray = drawn[:, 0] / drawn[:, 1]
-    return means
+def _resampled_sums(table: FloatArray, name: str) -> FloatArray:
+    """(RESAMPLES, columns) column sums of (blocks, columns), over blocks drawn with a seed that `name` gives."""
+    rng = np.random.default_rng(zlib.crc32(name.encode()))
+    if len(table) > MAX_BLOCKS:  # at random: dealing in order would even out what differs between objects
+        hands = np.zeros((MAX_BLOCKS, table.shape[1]))
+        np.add.at(hands, rng.permutation(len(table)) % MAX_BLOCKS, table)
+        table = hands
+    share = np.full(len(table), 1.0 / len(table))
+    draws = [rng.multinomial(len(table), share, size=_CHUNK) @ table for _ in range(RESAMPLES // _CHUNK)]
+    sums: FloatArray = np.concatenate(draws)
+    return sums

@@ -13,7 +13,7 @@ from adcbf_cli.core.errors import UsageError
 from adcbf_cli.core.evaluation.report import Report
 
 _FORM = re.compile(r"^\s*([A-Za-z][\w.\- ]*?)\s*(<=|>=|<|>)\s*(\S+)\s*$")
-_COMPARE: dict[str, Callable[[float, float], bool]] = {
+COMPARE: dict[str, Callable[[float, float], bool]] = {
     "<": operator.lt,
     ">": operator.gt,
     "<=": operator.le,
@@ -70,7 +70,7 @@ def missed(thresholds: Iterable[Threshold], report: Report) -> list[str]:
         metric = report.metrics.get(threshold.metric)
         if metric is None or metric.value is None:
             lines.append(f"{threshold}: not measured, so it cannot pass ({_why(threshold, report)})")
-        elif _COMPARE[threshold.relation](metric.value, threshold.limit):
+        elif COMPARE[threshold.relation](metric.value, threshold.limit):
             lines.append(f"{threshold}: it is {metric.value:.6g} {metric.unit if metric.unit != '1' else ''}".rstrip())
     return lines
 
