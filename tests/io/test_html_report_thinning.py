@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -44,7 +46,7 @@ def test_a_simplified_path_is_no_farther_than_the_tolerance(points: np.ndarray, 
     assert (kept[0] == points[0]).all()
     assert (kept[-1] == points[-1]).all()
     for point in points:
-        assert min(_distance(point, a, b) for a, b in zip(kept[:-1], kept[1:], strict=True)) <= tolerance + 1e-9
+        assert min(_distance(point, a, b) for a, b in pairwise(kept)) <= tolerance + 1e-9
 
 
 def test_a_straight_path_keeps_its_ends_only() -> None:

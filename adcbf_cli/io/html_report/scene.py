@@ -128,8 +128,10 @@ def _count(counts: dict[str, list[int]], t_ms: int, clusters: Clusters, tracks: 
     counts["coasting"].append(int((tracks.status == TrackStatus.COASTING).sum()))
 
 
-def _sensor(clusters: Clusters, origin: FloatArray) -> list[int | None]:
-    """x, y, yaw."""
+def _sensor(clusters: Clusters, origin: FloatArray) -> list[int | None] | None:
+    """x, y, yaw; None where the log does not say where the sensor was."""
+    if not clusters.pose_known:
+        return None
     pose = clusters.world_from_sensor
     yaw = np.arctan2(pose[1, 0], pose[0, 0])
     return integers(np.array([*(pose[:2, 3] - origin), yaw]), MILLI)

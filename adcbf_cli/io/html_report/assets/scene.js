@@ -13,12 +13,13 @@ class Scene {
     this.number = number;
     this.canvas = holder.querySelector("canvas");
     this.readout = holder.querySelector(".readout");
-    this.pen = this.canvas.getContext("2d");
+    this.pen = this.canvas.getContext("2d", { alpha: false });
     this.sigmas = Math.sqrt(-2 * Math.log(1 - run.probability));
     this.origin = run.scene.origin_m;
     this.extent = this.bounds();
     this.view = null;
     this.listen();
+    this.resize();
     new ResizeObserver(() => this.resize()).observe(this.canvas);
   }
 
@@ -27,7 +28,7 @@ class Scene {
     const xs = [], ys = [];
     const add = (x, y) => { xs.push(x / 1000); ys.push(y / 1000); };
     for (const frame of this.run.scene.shown) {
-      add(frame.sensor[0], frame.sensor[1]);
+      if (frame.sensor) add(frame.sensor[0], frame.sensor[1]);
       for (const track of frame.tracks || []) add(track[2], track[3]);
       if (!frame.tracks) for (let k = 0; k < frame.clusters.length; k += 6) add(frame.clusters[k], frame.clusters[k + 1]);
     }
@@ -161,9 +162,10 @@ class Scene {
   draw() {
     if (!this.view) return;
     const pen = this.pen, on = view.layers, frame = this.frame();
+    pen.save();
     pen.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
     pen.fillStyle = css("--panel");
-    pen.fillRect(0, 0, this.width, this.height);
+    pen.fillRect(0, 0, this.width + 1, this.height + 1);  // the last column may be covered in part only
     this.grid();
     const over = this.run.scene.counts.t_ms.slice(-1)[0] ?? 0;
     if (frame) {
@@ -180,6 +182,7 @@ class Scene {
     const drives = chosenDrives(this.run).filter((drive) => drive.planner !== LOGGED);
     for (const drive of drives) this.drive(drive, group, drives.length);
     this.foot();
+    pen.restore();
     this.tell(frame, drives, over);
   }
 
@@ -326,11 +329,11 @@ class Scene {
 
   logPath(frame) {
     const pen = this.pen, shown = this.run.scene.shown;
-    if (!view.layers.paths || !frame) return;
+    if (!view.layers.paths || !frame || !frame.sensor) return;
     const upTo = lastUpTo(this.run.frameTimes, view.t_ms);
     pen.strokeStyle = css("--muted");
     pen.lineWidth = 1.5;
-    this.line(shown.slice(0, upTo + 1).map((each) => this.mm(each.sensor[0], each.sensor[1])));
+    this.line(shown.slice(0, upTo + 1).filter((each) => each.sensor).map((each) => this.mm(each.sensor[0], each.sensor[1])));
     pen.stroke();
     this.vehicle(...frame.sensor, css("--muted"), null);
   }
@@ -374,7 +377,7 @@ class Scene {
       this.line([[x - 7, y + 7], [x + 7, y - 7]]);
       pen.stroke();
     }
-    if (view.layers.labels && (together < 3 || (over && drive.result && drive.result !== "success"))) {
+    if (view.layers.labels && (together < 2 || (over && drive.result && drive.result !== "success"))) {
       pen.fillStyle = colour;
       pen.fillText(drive.planner + (over && drive.result ? `: ${drive.result}` : ""), x + 14, y - 8);
     }
@@ -398,16 +401,16 @@ class Scene {
   foot() {
     const pen = this.pen, step = niceStep(90 / this.view.scale), y = this.height - 12;
     pen.fillStyle = css("--bg");
-    pen.fillRect(0, this.height - FOOT_PX, this.width, FOOT_PX);
+    pen.fillRect(0, this.height - FOOT_PX, this.width + 1, FOOT_PX + 1);
     pen.strokeStyle = pen.fillStyle = css("--fg");
     pen.lineWidth = 2;
     this.line([[8, y - 5], [8, y], [8 + step * this.view.scale, y], [8 + step * this.view.scale, y - 5]]);
     pen.stroke();
     pen.font = "12px system-ui, sans-serif";
     pen.fillText(`${step < 1 ? step.toFixed(1) : step} m`, 14 + step * this.view.scale, y);
+    if (this.width < 480) return;
     pen.textAlign = "right";
     pen.fillText("x to the right, y up, world frame, m", this.width - 6, y);
-    pen.textAlign = "left";
   }
 
   // The same in words.
