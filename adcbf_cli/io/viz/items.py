@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from adcbf_cli.core.frames import pose_matrix
-from adcbf_cli.core.types import NO_ID, Clusters, FloatArray, Predictions, Tracks, TrackStatus
+from adcbf_cli.core.types import NO_ID, Clusters, FloatArray, IntArray, Predictions, Tracks, TrackStatus
 from adcbf_cli.io.viz.records import DriveName, DriveTick, LabelledCloud, Record, SceneFrame, Show
 from adcbf_cli.io.viz.shapes import NO_CLUSTER, Rgb, ellipse, planner_rgb, track_rgb
 
@@ -22,8 +22,8 @@ CLOUD, CLUSTERS, TRACKS, PREDICTIONS, DRIVEN = "/cloud", "/clusters", "/tracks",
 LEAST_HEIGHT_M = 0.05
 """A planar laser's obstacles have no height, and would be seen from above only."""
 
-SHOWN_STEPS = 5
-"""Every so many steps of a prediction become a cylinder."""
+SHOWN_STEPS = 3
+"""So many steps of a prediction become cylinders: evenly spread, the last one among them."""
 
 LEAST_SPEED_MPS = 0.05
 """Slower tracks get no arrow."""
@@ -152,7 +152,7 @@ def _cluster_entities(clusters: Clusters, frame: SceneFrame) -> Iterator[Entity]
             "probability": f"{clusters.probability[i]:.2f}",
             "track_id": "" if track_id == NO_ID else str(track_id),
         }
-        box = Shape("box", track_rgb(track_id), 0.35, clusters.centre_m[i], float(clusters.yaw_rad[i]), size)
+        box = Shape("box", track_rgb(track_id), 0.2, clusters.centre_m[i], float(clusters.yaw_rad[i]), size)
         yield Entity(int(clusters.cluster_id[i]), (box,), facts)
 
 
@@ -178,8 +178,8 @@ def _track_entity(tracks: Tracks, i: int, probability: float) -> Entity:
     around = ellipse(tracks.covariance[i, :2, :2], probability)
     up = np.array([0.0, 0.0, height / 2])
     shapes = [
-        Shape("cylinder", rgb, 0.6 if status == "confirmed" else 0.25, place, 0.0, (across, across, height)),
-        Shape("ellipse", rgb, 0.5, place - up, around.yaw_rad, (2 * around.half_m[0], 2 * around.half_m[1], _FLAT_M)),
+        Shape("cylinder", rgb, 0.4 if status == "confirmed" else 0.15, place, 0.0, (across, across, height)),
+        Shape("ellipse", rgb, 0.4, place - up, around.yaw_rad, (2 * around.half_m[0], 2 * around.half_m[1], _FLAT_M)),
         Shape(
             "text",
             rgb,
@@ -202,10 +202,10 @@ def _track_entity(tracks: Tracks, i: int, probability: float) -> Entity:
 
 
 def _predicted_entities(predictions: Predictions) -> Iterator[Entity]:
-    """The way, and cylinders at every fifth step and the last (the last only, of what stands still), each with the
-    obstacle's radius and its margin: the calibrated one where there is one."""
+    """The way, and cylinders at some of its steps (at the last only, of what stands still), each with the obstacle's
+    radius and its margin: the calibrated one where there is one."""
     steps = predictions.position_m.shape[1]
-    moving = np.append(np.arange(SHOWN_STEPS, steps, SHOWN_STEPS), steps)
+    moving = shown_steps(steps)
     calibrated = predictions.conformal_radius_m
     margin = np.where(np.isfinite(calibrated), calibrated, predictions.sigma_radius_m)
     for i, track_id in enumerate(predictions.track_id):
@@ -214,15 +214,20 @@ def _predicted_entities(predictions: Predictions) -> Iterator[Entity]:
         shapes = [Shape("line", rgb, 0.9, way[0], size_m=(_LINE_M, _LINE_M, _LINE_M), points_m=way)]
         for step in moving[-1:] if predictions.is_static[i] else moving:
             across = 2 * float(predictions.radius_m[i] + margin[i, step - 1])
-            fading = 0.3 - 0.2 * step / steps
-            shapes.append(Shape("cylinder", rgb, fading, way[step - 1], 0.0, (across, across, LEAST_HEIGHT_M)))
+            shapes.append(Shape("cylinder", rgb, 0.12, way[step - 1], 0.0, (across, across, LEAST_HEIGHT_M)))
         facts = {"radius_m": f"{predictions.radius_m[i]:.3f}", "margin_at_end_m": f"{margin[i, -1]:.3f}"}
         yield Entity(int(track_id), tuple(shapes), facts)
 
 
+def shown_steps(steps: int) -> IntArray:
+    """Of steps 1 to `steps`, those that become cylinders."""
+    return np.unique(np.linspace(steps / SHOWN_STEPS, steps, SHOWN_STEPS).round().astype(np.int64).clip(1))
+
+
 def _of_tick(tick: DriveTick, show: Show) -> Iterator[Item]:
     topic, floor_m = drive_topic(tick.drive), tick.floor_m
-    rgb = planner_rgb(show.drives.index(tick.drive))
+    number = show.drives.index(tick.drive)
+    rgb = planner_rgb(number)
     place = np.array([tick.pose[0], tick.pose[1], floor_m])
     yaw = float(tick.pose[2])
     turn = np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)])
@@ -230,7 +235,7 @@ def _of_tick(tick: DriveTick, show: Show) -> Iterator[Item]:
         yield PosePath(f"{topic}/plan", tick.stamp_ns, _on_floor(tick.plan, floor_m), rgb)
     if tick.drive.has_own_path:
         yield Transform(tick.stamp_ns, show.world_frame, vehicle_frame(tick.drive), pose_matrix(place, turn))
-        yield Drawing(f"{topic}/vehicle", tick.stamp_ns, (_vehicle(tick, place, rgb, show.body_radius_m),))
+        yield Drawing(f"{topic}/vehicle", tick.stamp_ns, (_vehicle(tick, place, rgb, number, show.body_radius_m),))
     if tick.driven is not None:
         yield PosePath(f"{topic}/driven", tick.stamp_ns, _on_floor(tick.driven, floor_m), rgb)
 
@@ -239,8 +244,9 @@ def _on_floor(poses: FloatArray, floor_m: float) -> FloatArray:
     return np.column_stack([poses[:, :2], np.full(len(poses), floor_m), poses[:, 2]])
 
 
-def _vehicle(tick: DriveTick, place: FloatArray, rgb: Rgb, radius_m: float) -> Entity:
-    """The circle that holds the vehicle, where it is heading, and what its planner did."""
+def _vehicle(tick: DriveTick, place: FloatArray, rgb: Rgb, number: int, radius_m: float) -> Entity:
+    """The circle that holds the vehicle, where it is heading, and what its planner did; names stand one above the
+    other where vehicles are together."""
     height = 2 * radius_m / 3
     middle = place + np.array([0.0, 0.0, height / 2])
     text = tick.drive.planner if tick.outcome in ("", "solved") else f"{tick.drive.planner}: {tick.outcome}"
@@ -248,7 +254,14 @@ def _vehicle(tick: DriveTick, place: FloatArray, rgb: Rgb, radius_m: float) -> E
     shapes = (
         Shape("cylinder", rgb, 0.8, middle, 0.0, (2 * radius_m, 2 * radius_m, height)),
         Shape("arrow", rgb, 1.0, middle, float(tick.pose[2]), (2 * radius_m, 0.1, 0.1)),
-        Shape("text", rgb, 1.0, middle + np.array([0.0, 0.0, 0.6]), size_m=(_TEXT_M, _TEXT_M, _TEXT_M), text=text),
+        Shape(
+            "text",
+            rgb,
+            1.0,
+            middle + np.array([0.0, 0.0, (2 + number) * _TEXT_M]),
+            size_m=(_TEXT_M, _TEXT_M, _TEXT_M),
+            text=text,
+        ),
     )
     facts = {
         "seed": str(tick.drive.seed),

@@ -9,6 +9,7 @@ Rerun gives rows and chunks random ids; here they are counted, so that the same 
 from __future__ import annotations
 
 import importlib
+import os
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -39,7 +40,10 @@ _ROW_ID_START, _ROW_ID_MIDDLE, _ROW_ID_BYTES = b"\x0a\x12\x09", b"\x11", 17
 """Of a recording's file: its header, a message's kind and size, and a protobuf of two 64-bit numbers, the row id."""
 
 _LINE_M = 0.02
-_POINT_M = 0.02
+_PATH_M = 0.04
+_POINT_M = 0.03
+_ALPHA_POWER = 1.5
+"""Rerun's viewer blends so that the same alpha hides more than in the others."""
 
 
 @dataclass
@@ -63,7 +67,8 @@ class _Joined:
 
 @cache
 def _rerun(module: str = "rerun") -> Any:
-    """Rerun's SDK, which is an extra."""
+    """Rerun's SDK, which is an extra. Its library would warn at every file about the index that is left out."""
+    os.environ.setdefault("RUST_LOG", "error")
     return importlib.import_module(module)
 
 
@@ -160,11 +165,11 @@ def _cloud(item: Cloud) -> Any:
 
 
 def _path(item: PosePath) -> Any:
-    return _rerun().LineStrips3D([item.poses[:, :3]], colors=[item.rgb], radii=[_LINE_M])
+    return _rerun().LineStrips3D([item.poses[:, :3]], colors=[item.rgb], radii=[_PATH_M])
 
 
 def _colours(shapes: list[Shape]) -> np.ndarray:
-    rows = [(*shape.rgb, round(255 * shape.alpha)) for shape in shapes]
+    rows = [(*shape.rgb, round(255 * shape.alpha**_ALPHA_POWER)) for shape in shapes]
     return np.array(rows, dtype=np.uint8).reshape(-1, 4)
 
 
