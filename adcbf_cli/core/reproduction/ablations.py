@@ -41,7 +41,7 @@ MEASURES = (
 )
 """Those that the document keeps of each variant, and of its difference from its base."""
 
-SHARE = 0.6
+SHARE = 0.5
 FEWEST = 10
 """Variants are many: they get the first SHARE of the seeds asked for, and FEWEST at least where there are as many.
 With 20 seeds all parts together then take less than half an hour on two cores."""
