@@ -19,6 +19,7 @@ from adcbf_cli.commands import (
     compare,
     completion,
     config,
+    doctor,
     evaluate,
     info,
     plan,
@@ -55,6 +56,7 @@ for module in (info, run, cluster, track, predict, evaluate, compare, plan, repl
     app.command(module.__name__.rpartition(".")[2])(getattr(module, module.__name__.rpartition(".")[2]))
 app.command("batch", cls=batch.CommandAfterDashes)(batch.batch)
 app.add_typer(config.app, name="config")
+app.command("doctor")(doctor.doctor)
 app.command("completion")(completion.completion)
 
 
