@@ -104,7 +104,7 @@ def batch(
         (output / JSON_LINES).unlink(missing_ok=True)
         finished = start(tasks, run_log)
         results = _Results(tasks, streamed=not json_output)
-        with closing(finished), RunProgress(len(tasks), "batch") as progress:
+        with closing(finished), RunProgress(len(tasks), "batch", "logs") as progress:
             for name, answer in finished:
                 progress.advance(failed=results.take(name, answer))
         _finish(tables, results, json_output)

@@ -23,7 +23,7 @@ STDOUT = "-"
 def compare(
     runs: Annotated[
         list[Path],
-        typer.Argument(metavar="BASE RUN...", help="Run folders; the first is the base.", show_default=False),
+        typer.Argument(metavar="RUN", help="Run folders; the first is the base.", show_default=False),
     ],
     fail_on: Annotated[
         list[str] | None,

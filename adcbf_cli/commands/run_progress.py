@@ -19,12 +19,13 @@ REPORT_S = 30.0
 class RunProgress:
     """Counts finished runs while its `with` block lasts."""
 
-    def __init__(self, total: int, what: str) -> None:
+    def __init__(self, total: int, what: str, unit: str = "runs") -> None:
         self._total = total
         self._what = what
+        self._unit = unit
         self._done = self._failed = 0
         self._began_s = self._reported_s = time.monotonic()
-        self._bar = _bar(total, what) if total and sys.stderr.isatty() else None
+        self._bar = _bar(total, what, unit) if total and sys.stderr.isatty() else None
 
     def __enter__(self) -> RunProgress:
         if self._bar is not None:
@@ -50,7 +51,9 @@ class RunProgress:
         rate = self._done / elapsed_s
         failed = f", {self._failed} failed" if self._failed else ""
         left = duration((self._total - self._done) / rate)
-        return f"{self._what}: {self._done} of {self._total} runs{failed}, {rate:.2g} runs/s, {left} left"
+        return (
+            f"{self._what}: {self._done} of {self._total} {self._unit}{failed}, {rate:.2g} {self._unit}/s, {left} left"
+        )
 
 
 def duration(seconds: float) -> str:
@@ -61,14 +64,14 @@ def duration(seconds: float) -> str:
     return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
-def _bar(total: int, what: str) -> Progress:
+def _bar(total: int, what: str, unit: str) -> Progress:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
     from rich.text import Text
 
     class Rate(ProgressColumn):
         def render(self, task: Any) -> Text:
-            return Text(f"{task.finished_speed or task.speed or 0:.2g} runs/s")
+            return Text(f"{task.finished_speed or task.speed or 0:.2g} {unit}/s")
 
     columns = (
         TextColumn("{task.description}"),
