@@ -65,8 +65,8 @@ def unique_names(logs: Iterable[Path]) -> list[str]:
         count = Counter(name.casefold() for name in names)
         alike = [i for i, name in enumerate(names) if count[name.casefold()] > 1]
         deeper = [i for i in alike if depth[i] < len(_parents(paths[i]))]
-        if not deeper:
-            return _numbered(names)
+        if not deeper:  # what no folder tells apart differs in case, or in what is not safe: it is counted
+            return _numbered([_safe(leaves[i]) if i in alike else name for i, name in enumerate(names)])
         for i in deeper:
             depth[i] += 1
 
@@ -94,7 +94,7 @@ def _safe(text: str) -> str:
 
 
 def _numbered(names: list[str]) -> list[str]:
-    """Names that are alike even with all their folders are counted."""
+    """The names, with a number where one has been there before."""
     taken = {name.casefold() for name in names}
     seen: set[str] = set()
     result = []
