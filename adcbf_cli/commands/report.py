@@ -29,6 +29,9 @@ def report(
         bool | None,
         typer.Option("--points/--no-points", help="Show points; default: if stored, or the log is there and short."),
     ] = None,
+    figures: Annotated[
+        bool, typer.Option("--figures/--no-figures", help="Also draw SVG and PNG into figures/ beside the page.")
+    ] = True,
     json_output: Json = False,
 ) -> None:
     """Write one HTML page that can be sent and opened without a network.
@@ -36,6 +39,7 @@ def report(
     What was run and on what, scores, a top view that can be scrubbed through time, tracks and predictions, clearance,
     barrier and gamma, planners with intervals, solve times, calibration, and every warning. Several runs stand side by
     side. Only what the run folders hold is shown; the page names the command that would make what is missing.
+    Figures that a paper can use are drawn into `figures/` beside the page (of several runs: `figures/<run>/`).
 
     Examples:
 
@@ -43,12 +47,13 @@ def report(
 
         adcbf report before.adcbf after.adcbf -o before_after.html
 
-        adcbf report drive.adcbf --no-points --json
+        adcbf report drive.adcbf --no-points --no-figures --json
     """
     from contextlib import ExitStack
 
     from adcbf_cli.commands.terminal import print_json, progress, say
     from adcbf_cli.io.atomic import check_target, write_text_atomically
+    from adcbf_cli.io.html_report.figures import FOLDER, write_figures
     from adcbf_cli.io.html_report.gather import PAGE_BYTES, Wishes, gather_run
     from adcbf_cli.io.html_report.page import render
     from adcbf_cli.io.run_folder import RunFolder
@@ -62,13 +67,18 @@ def report(
             stack.enter_context(RunFolder(run).locked())
         pages = [gather_run(run, wishes, progress) for run in runs]
         write_text_atomically(target, render(pages))
+        drawn: list[Path] = []
+        for page in pages if figures else ():
+            drawn += write_figures(page, target.parent / FOLDER / ("" if len(pages) == 1 else page.name))
     if json_output:
-        print_json(_document(target, pages))
+        print_json(_document(target, pages, drawn))
     else:
         print(target)
         for page in pages:
             for section, (reason, command) in page.missing.items():
                 say(f"{page.name}: no {section}: {reason}" + (f"; to add them: {command}" if command else ""))
+        if drawn:
+            say(f"{len(drawn)} figures in {target.parent / FOLDER}")
         say(f"{target.stat().st_size / 1e6:.1f} MB; open it in any browser, it needs no network")
     if any(record.losses for page in pages for record in page.manifest.stages.values()):
         raise typer.Exit(EXIT_DATA_LOST)
@@ -88,10 +98,11 @@ def _check_runs(runs: list[Path]) -> None:
         raise UsageError(f"{len(runs)} runs do not fit side by side; give {MOST_RUNS} at most")
 
 
-def _document(target: Path, pages: list[RunPage]) -> dict[str, Any]:
+def _document(target: Path, pages: list[RunPage], drawn: list[Path]) -> dict[str, Any]:
     return {
         "page": str(target),
         "bytes": target.stat().st_size,
+        "figures": [str(path) for path in drawn],
         "runs": [
             {
                 "run_folder": page.folder,

@@ -50,7 +50,7 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def page(driven_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("page") / "people.html"
-    done = run_here("report", driven_run, "-o", path)
+    done = run_here("report", driven_run, "-o", path, "--no-figures")
     assert done.returncode == 0, done.stderr
     assert done.stdout == f"{path}\n"
     return path
@@ -147,7 +147,7 @@ def test_what_is_missing_names_the_command_that_makes_it(driven_run: Path, tmp_p
     shutil.copytree(driven_run, copy)
     shutil.rmtree(copy / "replay")
     (copy / "report.json").unlink()
-    done = run_here("report", copy, "--json")
+    done = run_here("report", copy, "--json", "--no-figures")
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
     missing = {entry["section"]: entry["command"] for entry in document["runs"][0]["missing"]}
@@ -173,7 +173,7 @@ def test_drives_of_other_predictions_are_not_shown(driven_run: Path, tmp_path: P
 
 def test_the_same_runs_give_the_same_bytes(page: Path, driven_run: Path, tmp_path: Path) -> None:
     again = tmp_path / "again.html"
-    assert run_here("report", driven_run, "-o", again).returncode == 0
+    assert run_here("report", driven_run, "-o", again, "--no-figures").returncode == 0
     assert again.read_bytes() == page.read_bytes()
 
 
@@ -187,7 +187,7 @@ def test_what_a_log_names_cannot_become_markup(driven_run: Path, tmp_path: Path)
     manifest["selection"]["reasons"] = [evil]
     (copy / "run.json").write_text(json.dumps(manifest))
     page = tmp_path / "evil.html"
-    done = run_here("report", copy, "-o", page)
+    done = run_here("report", copy, "-o", page, "--no-figures")
     assert done.returncode == 0, done.stderr
     found = Page(page)
     assert not [attributes for tag, attributes in found.elements if tag == "img"]
@@ -200,10 +200,34 @@ def test_two_runs_stand_side_by_side(driven_run: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.adcbf"
     shutil.copytree(driven_run, other)
     page = tmp_path / "both.html"
-    assert run_here("report", driven_run, other, "-o", page).returncode == 0
+    assert run_here("report", driven_run, other, "-o", page, "--no-figures").returncode == 0
     found = Page(page)
     assert [run["name"] for run in found.data["runs"]] == ["people.adcbf", "other.adcbf"]
     assert len([1 for tag, a in found.elements if tag == "figure" and a.get("class") == "scene"]) == 2
+
+
+def test_figures_lie_beside_the_page(driven_run: Path, tmp_path: Path) -> None:
+    done = run_here("report", driven_run, "-o", tmp_path / "people.html", "--json")
+    assert done.returncode == 0, done.stderr
+    drawn = [Path(path) for path in json.loads(done.stdout)["figures"]]
+    names = {"top_view", "margins", "solve_times", "gamma_map", "calibration", "planners"}
+    assert {(path.parent, path.stem, path.suffix) for path in drawn} == {
+        (tmp_path / "figures", name, suffix) for name in names for suffix in (".svg", ".png")
+    }
+    for path in drawn:
+        head = path.read_bytes()[:8]
+        assert head == b"\x89PNG\r\n\x1a\n" if path.suffix == ".png" else head.startswith(b"<?xml")
+
+
+def test_figures_without_evidence_are_not_drawn_and_old_ones_leave(driven_run: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy.adcbf"
+    shutil.copytree(driven_run, copy)
+    assert run_here("report", copy).returncode == 0
+    assert (copy / "figures" / "margins.svg").exists()
+    shutil.rmtree(copy / "replay")
+    assert run_here("report", copy).returncode == 0
+    left = {path.stem for path in (copy / "figures").iterdir()}
+    assert left == {"top_view", "calibration"}
 
 
 @pytest.mark.parametrize(

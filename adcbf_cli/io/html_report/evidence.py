@@ -123,10 +123,18 @@ def _driving_headline(driving: list[dict[str, dict[str, Any]]]) -> Iterator[Row]
         planner = next((name for found in comparisons if found for name in _main_planner(found)), None)
         for name, label in wanted:
             declared = next((found["metrics"].get(name) for found in comparisons if found), None)
-            cells = tuple(_planner_cell(_total(found, planner, name)) for found in comparisons)
+            cells = tuple(_driven_cell(_total(found, planner, name)) for found in comparisons)
             if declared is not None and any(cell.text != "-" for cell in cells):
                 unit = unit_text(declared["unit"])
                 yield Row(f"{kind}.{planner}.{name}", f"{planner}: {label}", unit, "", declared["definition"], cells)
+
+
+def _driven_cell(total: dict[str, Any] | None) -> Cell:
+    """As in the planners' table, and always with the number of drives."""
+    cell = _planner_cell(total)
+    if total is None or cell.note or cell.text == "-":
+        return cell
+    return Cell(cell.text, cell.interval, f"{total['n']} drive{'' if total['n'] == 1 else 's'}")
 
 
 def _main_planner(comparison: dict[str, Any]) -> list[str]:

@@ -48,7 +48,9 @@ def render(runs: list[RunPage]) -> str:
         policy=_policy(script, style),
         style=Markup(style),
         script=Markup(script),
-        data=Markup(script_data({"runs": [run.data for run in runs], "planners": _comparisons(runs)})),
+        data=Markup(
+            script_data({"runs": [run.data for run in runs], "planners": [comparisons_of(run) for run in runs]})
+        ),
         sections=SECTIONS,
         runs=[_context(run) for run in runs],
         several=len(runs) > 1,
@@ -85,24 +87,22 @@ def _asset(name: str) -> str:
     return (ASSETS / name).read_text(encoding="utf-8")
 
 
-def _comparisons(runs: list[RunPage]) -> list[dict[str, Any]]:
-    """Means and intervals by run, kind and planner, for the marks above each table."""
-    return [
-        {
-            kind: {
-                "metrics": {
-                    name: {"unit": evidence.unit_text(declared["unit"]), "better": declared["better"]}
-                    for name, declared in document["comparison"]["metrics"].items()
-                },
-                "planners": {
-                    name: {metric: [total["value"], total["interval_95"]] for metric, total in found["metrics"].items()}
-                    for name, found in document["comparison"]["planners"].items()
-                },
-            }
-            for kind, document in run.driving.items()
+def comparisons_of(run: RunPage) -> dict[str, Any]:
+    """The planners' means and intervals by kind, as `{"metrics": {name: unit, better}, "planners": {name: {metric:
+    [mean, interval or None]}}}`."""
+    return {
+        kind: {
+            "metrics": {
+                name: {"unit": evidence.unit_text(declared["unit"]), "better": declared["better"]}
+                for name, declared in document["comparison"]["metrics"].items()
+            },
+            "planners": {
+                name: {metric: [total["value"], total["interval_95"]] for metric, total in found["metrics"].items()}
+                for name, found in document["comparison"]["planners"].items()
+            },
         }
-        for run in runs
-    ]
+        for kind, document in run.driving.items()
+    }
 
 
 def _context(run: RunPage) -> dict[str, Any]:

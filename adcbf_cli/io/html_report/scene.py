@@ -78,7 +78,7 @@ def gather_scene(folder: Path, stages: tuple[str, ...], frames: int, most_frames
             lives.see(tracks, t_ms)
         if number % stride:
             continue
-        shown = {"t_ms": t_ms, "frame": clusters.frame_index, "sensor": _sensor(clusters, origin)}
+        shown: dict[str, Any] = {"t_ms": t_ms, "frame": clusters.frame_index, "sensor": _sensor(clusters, origin)}
         shown["clusters"] = _clusters(clusters, origin)
         if tracks is not None:
             shown["tracks"] = _tracks(tracks, origin)

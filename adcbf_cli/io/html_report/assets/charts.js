@@ -193,7 +193,7 @@ function driveCharts() {
     const clearance = new TimeChart(holder.querySelector(".clearance"),
       { title: "Clearance to the nearest true obstacle", unit: "m", include: [0], marks: limits });
     const barrier = new TimeChart(holder.querySelector(".barrier"),
-      { title: "Barrier h of the nearest obstacle: now, and the smallest in the plan (dotted)", unit: "m²", include: [0],
+      { title: "Smallest barrier h over the known obstacles: now, and in the plan (dotted)", unit: "m²", include: [0],
         marks: () => [{ value: 0, label: "h = 0" }] });
     const gamma = new TimeChart(holder.querySelector(".gamma"),
       { title: "Gamma of the obstacle with the smallest barrier, now", unit: "", include: [0, 1] });

@@ -90,7 +90,7 @@ function calibrationDots() {
         }));
       const least = Math.min(...rows.flatMap((row) => [row.value, row.nominal, ...(row.interval || [])]));
       holder.querySelector(".calibration").append(dotPlot(`Share within, ${words}`, "", rows, Math.floor(least * 10) / 10, 1,
-        { wide: 560, left: 182, right: 172 }));
+        { wide: 580, left: 204, right: 168 }));
     }
   }
   function group(point) {
