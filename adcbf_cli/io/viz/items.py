@@ -42,7 +42,8 @@ _TEXT_M = 0.3
 @dataclass(frozen=True, slots=True)
 class Shape:
     """position_m: (3,) the centre, or where an arrow starts or a text stands. size_m: along its own axes, x turned
-    by yaw; an arrow's length and thickness. points_m: (k, 3), of a line only."""
+    by yaw; an arrow's length and thickness. points_m: (k, 3), of a line only. text: of other kinds, what to show
+    when it is pointed at."""
 
     kind: Literal["cylinder", "ellipse", "box", "arrow", "line", "text"]
     rgb: Rgb
@@ -167,7 +168,8 @@ def _track_entities(tracks: Tracks, probability: float) -> Iterator[Entity]:
 
 
 def _track_entity(tracks: Tracks, i: int, probability: float) -> Entity:
-    """A cylinder with its number; the ellipse that holds its centre; where it will be in a second, if it moves."""
+    """A cylinder, and the ellipse that holds its centre; if it moves, its number and where it will be in a second.
+    Numbers on all that stands would hide the scene."""
     track_id, place = int(tracks.track_id[i]), tracks.state[i, :3]
     vx, vy = tracks.state[i, 3:5]
     speed, still = float(np.hypot(vx, vy)), bool(tracks.is_static[i])
@@ -177,20 +179,15 @@ def _track_entity(tracks: Tracks, i: int, probability: float) -> Entity:
     across = 2 * float(tracks.radius_m[i])
     around = ellipse(tracks.covariance[i, :2, :2], probability)
     up = np.array([0.0, 0.0, height / 2])
+    name = f"{track_id}  {speed:.1f} m/s" if moves else f"{track_id}"
     shapes = [
-        Shape("cylinder", rgb, 0.4 if status == "confirmed" else 0.15, place, 0.0, (across, across, height)),
+        Shape("cylinder", rgb, 0.4 if status == "confirmed" else 0.15, place, 0.0, (across, across, height), text=name),
         Shape("ellipse", rgb, 0.4, place - up, around.yaw_rad, (2 * around.half_m[0], 2 * around.half_m[1], _FLAT_M)),
-        Shape(
-            "text",
-            rgb,
-            1.0,
-            place + up + np.array([0.0, 0.0, _TEXT_M]),
-            size_m=(_TEXT_M, _TEXT_M, _TEXT_M),
-            text=f"{track_id}  {speed:.1f} m/s" if moves else f"{track_id}",
-        ),
     ]
     if moves:
+        above = place + up + np.array([0.0, 0.0, _TEXT_M])
         shapes.append(Shape("arrow", rgb, 1.0, place, float(np.arctan2(vy, vx)), (speed * ARROW_S, 0.1, 0.1)))
+        shapes.append(Shape("text", rgb, 1.0, above, size_m=(_TEXT_M, _TEXT_M, _TEXT_M), text=name))
     facts = {
         "status": status,
         "speed_mps": f"{speed:.3f}",

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,7 @@ _ROW_ID_START, _ROW_ID_MIDDLE, _ROW_ID_BYTES = b"\x0a\x12\x09", b"\x11", 17
 
 _LINE_M = 0.02
 _PATH_M = 0.04
-_POINT_M = 0.03
+_POINT_PIXELS = 1.5
 _ALPHA_POWER = 1.5
 """Rerun's viewer blends so that the same alpha hides more than in the others."""
 
@@ -86,7 +87,7 @@ class RrdWriter:
             case Transform():
                 self._add(f"world/{item.child}", item.stamp_ns, _transform(item))
             case Cloud():
-                self._add(f"world/{item.frame_id}{item.topic}", item.stamp_ns, _cloud(item))
+                self._add(f"world/{item.frame_id}{item.topic}", item.stamp_ns, *_cloud(item))
             case PosePath():
                 self._add(f"world{item.topic}", item.stamp_ns, _path(item))
             case Drawing():
@@ -114,10 +115,10 @@ class RrdWriter:
         for kind, archetype in _ARCHETYPES.items():
             self._add(f"world{topic}/{kind}", stamp_ns, archetype([]))
 
-    def _add(self, path: str, stamp_ns: int, archetype: Any) -> None:
+    def _add(self, path: str, stamp_ns: int, *archetypes: Any) -> None:
         rows = self._rows.setdefault(path, _Rows())
         rows.stamp_ns.append(stamp_ns)
-        for batch in archetype.as_component_batches():
+        for batch in chain.from_iterable(archetype.as_component_batches() for archetype in archetypes):
             values = batch.as_arrow_array()
             rows.batches.setdefault(str(batch.component_descriptor()), []).append(
                 (batch.component_descriptor(), values)
@@ -158,10 +159,11 @@ def _transform(item: Transform) -> Any:
     return _rerun().Transform3D(translation=matrix[:3, 3], quaternion=quaternion_from_rotation(matrix[:3, :3]))
 
 
-def _cloud(item: Cloud) -> Any:
-    return _rerun().Points3D(
-        item.cloud.points_m, colors=cloud_rgb(item.cloud), radii=np.full(len(item.cloud.points_m), _POINT_M)
-    )
+def _cloud(item: Cloud) -> tuple[Any, Any]:
+    """The points, and the ids of what each belongs to."""
+    rr, cloud = _rerun(), item.cloud
+    points = rr.Points3D(cloud.points_m, colors=cloud_rgb(cloud), radii=rr.Radius.ui_points(_POINT_PIXELS))
+    return points, rr.AnyValues(cluster_id=cloud.cluster_id, track_id=cloud.track_id)
 
 
 def _path(item: PosePath) -> Any:
@@ -194,6 +196,8 @@ def _cylinders(shapes: list[Shape]) -> Any:
         centers=_centres(shapes),
         colors=_colours(shapes),
         fill_mode="solid",
+        labels=[shape.text for shape in shapes],
+        show_labels=False,
     )
 
 

@@ -105,11 +105,11 @@ def test_tracks_show_size_speed_and_covariance(viz_run: Path, messages: Messages
             assert area == pytest.approx(np.pi * chi2.ppf(0.95, 2) * np.sqrt(np.linalg.det(covariance)), rel=1e-6)
             speed = float(np.hypot(row["vx_mps"], row["vy_mps"]))
             assert bool(entity.arrows) == (speed >= 0.05 and not row["is_static"])
-            for arrow in entity.arrows:
+            for arrow, text in zip(entity.arrows, entity.texts, strict=True):
+                assert text.text == f"{row['track_id']}  {speed:.1f} m/s"
                 moving += 1
                 assert arrow.shaft_length + arrow.head_length == pytest.approx(speed, abs=1e-9)
                 assert yaw(arrow.pose.orientation) == pytest.approx(np.arctan2(row["vy_mps"], row["vx_mps"]), abs=1e-9)
-            assert entity.texts[0].text.split()[0] == str(row["track_id"])
     assert moving > 20
 
 

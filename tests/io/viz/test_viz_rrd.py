@@ -68,6 +68,8 @@ def test_the_cloud_hangs_on_the_sensor(viz_run: Path, recording: Recording) -> N
     cloud = recording["/world/lidar/cloud"]
     assert times(cloud) == [row["timestamp_ns"] for row in frames]
     assert pc.list_value_length(cloud["Points3D:positions"]).to_pylist() == [row["points_read"] for row in frames]
+    ids = [len(row) for row in cloud["track_id"].to_pylist()]
+    assert ids == [row["points_read"] for row in frames]
     sensor = places(recording, "/world/lidar", "Transform3D:translation")
     for row in frames:
         want = [[row["sensor_x_m"], row["sensor_y_m"], row["sensor_z_m"]]]
