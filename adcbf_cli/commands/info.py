@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def info(
-    log: Annotated[Path, typer.Argument(help="A log: file or folder.", show_default=False)],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="A log: file or folder.", show_default=False)],
     json_output: Json = False,
 ) -> None:
     """Show what a log holds: topics, rates, gaps, frames, and what would be taken from it.
