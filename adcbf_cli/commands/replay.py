@@ -34,6 +34,8 @@ def replay(shared: Shared, driving: Driving, start: Start = None, seeds: Seeds =
 
         adcbf replay people.csv --start 0,0 --goal 12,5 --speed 1 -p ad-cbf-mpc -p dwa
 
+        adcbf replay log.adcbf --viz ros2
+
         adcbf replay log.adcbf --fail-on "replay.ad-cbf-mpc.collision>0"
     """
     from adcbf_cli.commands.driving import run_replay

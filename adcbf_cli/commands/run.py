@@ -18,6 +18,8 @@ def run(shared: Shared, truth: TruthOption = None, fail_on: FailOn = None) -> No
 
         adcbf run log.mcap --range 20 --truth labels.csv -o out/log.adcbf
 
+        adcbf run log.mcap --viz foxglove --viz rrd
+
         adcbf run log.bag --json --fail-on "later_seen.rmse_x_m>0.2" > result.json
     """
     score_run(shared, truth, fail_on or [], with_facts=True)

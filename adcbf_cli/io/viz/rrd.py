@@ -249,7 +249,7 @@ _ARCHETYPES: dict[str, Callable[[list[Shape]], Any]] = {
 def open_rrd(path: Path, show: Show) -> Iterator[RrdWriter]:
     """A recording, which appears at `path` when it is complete.
 
-    It has no footer, Rerun's index of chunks: that is held in memory to the end, and its bytes are never the same.
+    It has no footer, Rerun's index of chunks: the SDK writes that in another order each time.
     """
     with atomic_path(path) as temporary:
         stream = _rerun().RecordingStream("adcbf", recording_id=show.source_sha256[:32], send_properties=False)
