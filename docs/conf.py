@@ -27,6 +27,7 @@ exclude_patterns = ["_build"]
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence"]
 highlight_language = "none"
+smartquotes = False  # options begin with two dashes
 nitpicky = True
 
 _LINK = re.compile(r"\]\((?!https?:)([\w/-]+\.md)\)")
