@@ -13,7 +13,6 @@ from adcbf_cli.core.errors import EXIT_DATA_LOST, UsageError
 if TYPE_CHECKING:
     from adcbf_cli.io.html_report.gather import RunPage
 
-PAGE = "report.html"
 MOST_RUNS = 8
 
 
@@ -53,9 +52,10 @@ def report(
 
     from adcbf_cli.commands.terminal import print_json, progress, say
     from adcbf_cli.io.atomic import check_target, write_text_atomically
-    from adcbf_cli.io.html_report.figures import FOLDER, write_figures
+    from adcbf_cli.io.html_report.figures import write_figures
     from adcbf_cli.io.html_report.gather import PAGE_BYTES, Wishes, gather_run
     from adcbf_cli.io.html_report.page import render
+    from adcbf_cli.io.report import FIGURE_FOLDER, PAGE
     from adcbf_cli.io.run_folder import RunFolder
 
     _check_runs(runs)
@@ -69,7 +69,7 @@ def report(
         write_text_atomically(target, render(pages))
         drawn: list[Path] = []
         for page in pages if figures else ():
-            drawn += write_figures(page, target.parent / FOLDER / ("" if len(pages) == 1 else page.name))
+            drawn += write_figures(page, target.parent / FIGURE_FOLDER / ("" if len(pages) == 1 else page.name))
     if json_output:
         print_json(_document(target, pages, drawn))
     else:
@@ -78,7 +78,7 @@ def report(
             for section, (reason, command) in page.missing.items():
                 say(f"{page.name}: no {section}: {reason}" + (f"; to add them: {command}" if command else ""))
         if drawn:
-            say(f"{len(drawn)} figures in {target.parent / FOLDER}")
+            say(f"{len(drawn)} figures in {target.parent / FIGURE_FOLDER}")
         say(f"{target.stat().st_size / 1e6:.1f} MB; open it in any browser, it needs no network")
     if any(record.losses for page in pages for record in page.manifest.stages.values()):
         raise typer.Exit(EXIT_DATA_LOST)

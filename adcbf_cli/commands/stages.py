@@ -33,6 +33,7 @@ from adcbf_cli.core.types import Clusters, Frame, Notes, Predictions, Tracks, Tr
 from adcbf_cli.io import tables
 from adcbf_cli.io.parquet import TableWriter
 from adcbf_cli.io.plugin_versions import stage_plugins
+from adcbf_cli.io.report import FIGURE_FILES, PAGE
 from adcbf_cli.io.run_folder import (
     DRIVING,
     OPTIONAL_TABLES,
@@ -54,7 +55,7 @@ if TYPE_CHECKING:
 Record = TypeVar("Record", Clusters, Tracks, Predictions)
 
 
-REPORTS = ("report.json", "report.md", "score_blocks.parquet")
+REPORTS = ("report.json", "report.md", "score_blocks.parquet", PAGE, *FIGURE_FILES)
 
 
 @dataclass(frozen=True)

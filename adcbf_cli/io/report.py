@@ -13,6 +13,12 @@ from adcbf_cli.io.atomic import write_text_atomically
 JSON_NAME = "report.json"
 MARKDOWN_NAME = "report.md"
 
+PAGE = "report.html"
+FIGURE_FOLDER = "figures"
+FIGURES = ("top_view", "margins", "solve_times", "gamma_map", "calibration", "planners")
+FIGURE_FILES = tuple(f"{FIGURE_FOLDER}/{name}.{kind}" for name in FIGURES for kind in ("png", "svg"))
+"""What `adcbf report` leaves in a run folder."""
+
 _SECTIONS = {
     "clustering": "Cluster centres against truth",
     "tracking": "Tracking against truth",

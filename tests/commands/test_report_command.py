@@ -230,6 +230,14 @@ def test_figures_without_evidence_are_not_drawn_and_old_ones_leave(driven_run: P
     assert left == {"top_view", "calibration"}
 
 
+def test_a_page_of_outdated_tables_does_not_stay(driven_run: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy.adcbf"
+    shutil.copytree(driven_run, copy)
+    assert run_here("report", copy, "--no-figures").returncode == 0
+    assert run_here("track", copy, "--set", "tracking.confirm_hits=4").returncode == 0
+    assert not (copy / "report.html").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

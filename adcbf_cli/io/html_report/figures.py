@@ -9,9 +9,7 @@ from adcbf_cli.core.replay.records import LOGGED
 from adcbf_cli.io.figures.style import FORMATS, write_figure
 from adcbf_cli.io.html_report.gather import RunPage
 from adcbf_cli.io.html_report.page import comparisons_of
-
-FOLDER = "figures"
-FIGURES = ("top_view", "margins", "solve_times", "gamma_map", "calibration", "planners")
+from adcbf_cli.io.report import FIGURES
 
 
 def write_figures(run: RunPage, folder: Path) -> list[Path]:

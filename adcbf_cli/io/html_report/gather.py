@@ -284,7 +284,11 @@ def _about(
     size = sum(file.size_bytes for file in source.files)
     span_s = (scene["counts"]["t_ms"] or [0])[-1] / 1000
     rows = [
-        ("Log", f"{Path(source.path).name}, {size / 1e6:.1f} MB in {len(source.files)} file(s)"),
+        (
+            "Log",
+            f"{Path(source.path).name}, {_bytes(size)}"
+            + ("" if len(source.files) == 1 else f" in {len(source.files)} files"),
+        ),
         ("SHA-256", source.sha256),
         ("Scans", f"{scene['frames']:,} over {span_s:.1f} s"),
         *(("Taken", str(reason)) for reason in manifest.selection.get("reasons", ())),
@@ -302,6 +306,10 @@ def _about(
             )
         )
     return [*rows, ("adcbf", adcbf_cli.__version__)]
+
+
+def _bytes(count: int) -> str:
+    return f"{count / 1e6:.1f} MB" if count >= 1e5 else f"{count / 1e3:.1f} kB"
 
 
 def _rows(manifest: Manifest, stage: str) -> str:

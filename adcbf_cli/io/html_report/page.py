@@ -16,7 +16,7 @@ from adcbf_cli.io.html_report.gather import RunPage
 
 ASSETS = Path(__file__).with_name("assets")
 STYLES = ("vendor/uPlot.css", "page.css")
-SCRIPTS = ("vendor/uPlot.js", "base.js", "scene.js", "charts.js", "tracks.js", "marks.js", "main.js")
+SCRIPTS = ("vendor/uPlot.js", "base.js", "picture.js", "scene.js", "charts.js", "tracks.js", "marks.js", "main.js")
 
 SECTIONS = (
     ("run", "Run"),

@@ -22,10 +22,14 @@ class TimeChart {
     this.plot = null;
     this.holder.replaceChildren();
     const known = series.filter((each) => each.values.some((value) => value !== null));
-    this.holder.hidden = !known.length;
-    if (!known.length) return;
-    const { title, unit, log } = this.options;
+    const { title, unit, log, empty } = this.options;
+    this.holder.hidden = !known.length && !(series.length && empty);
+    if (this.holder.hidden) return;
     this.holder.append(element("h4", {}, unit ? `${title} [${unit}]` : title));
+    if (!known.length) {
+      this.holder.append(element("p", { class: "hint" }, empty));
+      return;
+    }
     const tables = known.map((each) => [scaled(each.t_ms, 1000), each.values]);
     const data = uPlot.join(tables, tables.map(() => [0, 1]));
     this.plot = new uPlot({
@@ -186,6 +190,9 @@ function countCharts() {
   }
 }
 
+const UNSTAGED = "Not stored for these drives: plans are kept stage by stage for each planner's first seed, and only "
+  + "planners with a barrier have one.";
+
 function driveCharts() {
   for (const holder of runHolders("margins")) {
     const run = DATA.runs[holder.dataset.run];
@@ -194,9 +201,9 @@ function driveCharts() {
       { title: "Clearance to the nearest true obstacle", unit: "m", include: [0], marks: limits });
     const barrier = new TimeChart(holder.querySelector(".barrier"),
       { title: "Smallest barrier h over the known obstacles: now, and in the plan (dotted)", unit: "m²", include: [0],
-        marks: () => [{ value: 0, label: "h = 0" }] });
+        marks: () => [{ value: 0, label: "h = 0" }], empty: UNSTAGED });
     const gamma = new TimeChart(holder.querySelector(".gamma"),
-      { title: "Gamma of the obstacle with the smallest barrier, now", unit: "", include: [0, 1] });
+      { title: "Gamma of the obstacle with the smallest barrier, now", unit: "", include: [0, 1], empty: UNSTAGED });
     const show = () => {
       const drives = chosenDrives(run);
       clearance.show(byPlanner(drives, "clearance_mm", 1000));

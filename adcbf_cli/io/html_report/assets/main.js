@@ -137,6 +137,7 @@ function start() {
   countCharts();
   livesCharts();
   driveCharts();
+  fallbackBars();
   plannerDots();
   solveCharts();
   gammaMaps();

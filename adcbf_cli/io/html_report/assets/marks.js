@@ -31,7 +31,7 @@ function dotPlot(title, unit, rows, low, high, room) {
     }
     mark.append(svg("circle", { cx: x(row.value), cy: y, r: 4 }));
     picture.append(mark);
-    const range = row.interval ? ` (${row.interval.map(figure).join(" to ")})` : "";
+    const range = row.interval && !room.brief ? ` (${row.interval.map(figure).join(" to ")})` : "";
     picture.append(svg("text", { x: wide - right + 12, y: y + 4, class: "tick" }, figure(row.value) + range));
   });
   return element("figure", { class: "dot-plot" }, element("figcaption", {}, unit ? `${title} [${unit}]` : title), picture);
@@ -60,7 +60,7 @@ function plannerDots() {
       const rate = ["success", "collision"].includes(metric);
       const [low, high] = rate ? [0, 1] : roundedRange(ends);
       const way = better === "neither" ? "" : `, ${better} is better`;
-      holder.append(dotPlot(`${metric}${way}`, unit, rows, low, high, { wide: 440, left: 104, right: 132 }));
+      holder.append(dotPlot(`${metric}${way}`, unit, rows, low, high, { wide: 400, left: 108, right: 70, brief: true }));
     }
   }
 }

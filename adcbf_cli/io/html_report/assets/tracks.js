@@ -9,66 +9,104 @@ function livesCharts() {
     const place = holder.querySelector(".lives");
     if (!lives.length) continue;
     place.append(element("h4", {}, `Lives of ${lives.length} confirmed tracks: click one to follow it`));
-    place.append(stateLegend(), livesPicture(lives, number));
+    place.append(keys(STATES.slice(0, 4), "life"), livesPicture(lives, number));
     const follow = followControl(lives, number);
     holder.querySelector(".one-track").before(follow);
     followTrack(holder.querySelector(".one-track"), run, number);
   }
 }
 
-function stateLegend() {
-  const items = STATES.slice(0, 4).map((name) => {
+function keys(names, kind) {
+  const items = names.map((name) => {
     const box = svg("svg", { width: 14, height: 10, "aria-hidden": "true" });
-    box.append(svg("rect", { width: 14, height: 10, class: `life ${name}` }));
+    box.append(svg("rect", { width: 14, height: 10, class: `${kind} ${name}` }));
     return element("li", {}, box, ` ${name}`);
   });
   return element("ul", { class: "keys" }, ...items);
 }
 
 function livesPicture(lives, number) {
-  const end = Math.max(1, view.end_ms), high = lives.length * BAR_PX;
-  const picture = svg("svg", {
-    class: "bars", viewBox: `0 0 1000 ${high}`, preserveAspectRatio: "none", height: high, role: "img",
-    "aria-label": `${lives.length} tracks over time, each a bar coloured by its state`,
-  });
-  lives.forEach(({ id, spans }, row) => {
-    const group = svg("g", { "data-track": id });
-    group.append(svg("title", {}, `track ${id}: ${lifeInWords(spans)}`));
-    const whole = { x: 0, y: row * BAR_PX, width: 1000, height: BAR_PX, class: "hit" };
-    group.append(svg("rect", whole));
-    for (const [from, to, state] of spans) {
-      if (state === 4) continue;
-      group.append(svg("rect", {
-        x: (from / end) * 1000, width: Math.max(1, ((to - from) / end) * 1000), y: row * BAR_PX + 1, height: BAR_PX - 2,
-        class: `life ${STATES[state]}`,
-      }));
-    }
-    group.addEventListener("click", () => {
+  const rows = lives.map(({ id, spans }) => ({
+    name: String(id),
+    title: `track ${id}: ${lifeInWords(spans)}`,
+    spans: spans.filter(([, , state]) => state !== 4).map(([from, to, state]) => [from, to, `life ${STATES[state]}`]),
+    click: () => {
       view.track[number] = id;
       view.changed("choice");
-    });
+    },
+    selected: () => view.track[number] === id,
+  }));
+  return barsPicture(rows, `${lives.length} tracks over time, each a bar coloured by its state`, BAR_PX, CHART_LEFT);
+}
+
+// rows: [{name, title, spans: [[from, to in ms, class]], click, selected}]: bars under the charts' time axis.
+function barsPicture(rows, words, row_px, left) {
+  const end = Math.max(1, view.end_ms), high = rows.length * row_px;
+  const picture = svg("svg", {
+    class: "bars", viewBox: `0 0 1000 ${high}`, preserveAspectRatio: "none", height: high, role: "img", "aria-label": words,
+  });
+  const names = svg("svg", { class: "bar-names", width: left, height: high, "aria-hidden": "true" });
+  rows.forEach(({ name, title, spans, click }, row) => {
+    const group = svg("g", {});
+    group.append(svg("title", {}, title), svg("rect", { x: 0, y: row * row_px, width: 1000, height: row_px, class: "hit" }));
+    for (const [from, to, look] of spans) {
+      group.append(svg("rect", {
+        x: (from / end) * 1000, width: Math.max(1, ((to - from) / end) * 1000), y: row * row_px + 1, height: row_px - 2,
+        class: look,
+      }));
+    }
+    if (click) group.addEventListener("click", click);
     picture.append(group);
+    names.append(svg("text", { x: left - 6, y: (row + 1) * row_px - 2.5, "text-anchor": "end" }, name));
   });
   const now = svg("line", { y1: 0, y2: high, class: "now-line" });
   picture.append(now);
   const mark = () => {
-    const x = (view.t_ms / end) * 1000;
-    now.setAttribute("x1", x);
-    now.setAttribute("x2", x);
+    now.setAttribute("x1", (view.t_ms / end) * 1000);
+    now.setAttribute("x2", (view.t_ms / end) * 1000);
   };
-  const select = () => {
-    for (const group of picture.querySelectorAll("g")) {
-      group.classList.toggle("selected", Number(group.dataset.track) === view.track[number]);
-    }
-  };
+  const select = () => rows.forEach(({ selected }, row) => {
+    picture.querySelectorAll("g")[row].classList.toggle("selected", Boolean(selected && selected()));
+  });
   view.on("time", mark);
   view.on("choice", select);
   mark();
-  const names = svg("svg", { class: "bar-names", width: CHART_LEFT, height: high, "aria-hidden": "true" });
-  lives.forEach(({ id }, row) => {
-    names.append(svg("text", { x: CHART_LEFT - 6, y: (row + 1) * BAR_PX - 2.5, "text-anchor": "end" }, `${id}`));
-  });
   return element("div", { class: "bars-frame" }, names, picture);
+}
+
+const OUTCOMES = ["relaxed", "braked", "stopped"];
+
+// When planners left the plain solution: one row a planner of the chosen drives that has steps.
+function fallbackBars() {
+  for (const holder of runHolders("margins")) {
+    const run = DATA.runs[holder.dataset.run], place = holder.querySelector(".fallbacks");
+    const show = () => {
+      place.replaceChildren();
+      const drives = chosenDrives(run).filter((drive) => drive.planner !== LOGGED);
+      if (!drives.length) return;
+      const rows = drives.map(({ planner, fallbacks }) => ({
+        name: planner,
+        title: `${planner}: ${fallbacks.length ? fallbackWords(fallbacks) : "no fallback"}`,
+        spans: fallbacks.map(([from, to, outcome]) => [from, to, `fallback ${outcome}`]),
+      }));
+      const steps = drives.reduce((sum, drive) => sum + drive.fallbacks.length, 0);
+      place.append(element("h4", {}, "Fallbacks: where a step was not simply solved"));
+      if (!steps) {
+        place.append(element("p", { class: "hint" }, "None in the chosen drives."));
+        return;
+      }
+      place.append(keys(OUTCOMES, "fallback"));
+      place.append(barsPicture(rows, `fallbacks of ${rows.map((row) => row.title).join("; ")}`, 16, 92));
+    };
+    view.on("choice", show);
+    show();
+  }
+}
+
+function fallbackWords(fallbacks) {
+  const shown = fallbacks.slice(0, 12).map(([from, to, outcome]) =>
+    `${outcome} ${(from / 1000).toFixed(2)} to ${(to / 1000).toFixed(2)} s`);
+  return shown.join(", ") + (fallbacks.length > 12 ? `, and ${fallbacks.length - 12} more` : "");
 }
 
 function lifeInWords(spans) {
