@@ -70,8 +70,10 @@ class Tracker:
                     "end every track"
                 )
                 bank.keep(np.zeros(len(bank), dtype=np.bool_))
+            stood = bank.states.copy(), bank.covariances.copy()
             self._predict(bank, kalman, dt)
             taken = self._update(bank, kalman, clusters)
+            _hold_unseen(bank, *stood)
             self._end_and_confirm(bank)
             if not taken.all():
                 bank.append(self._born(kalman, clusters, ~taken))
@@ -371,11 +373,24 @@ def select_clusters(clusters: Clusters, rows: BoolArray) -> Clusters:
 
 def _hold_structures(bank: TrackBank) -> None:
     """Pieces of walls start each step at rest."""
-    held = bank.is_structure
-    if not held.any():
-        return
+    if bank.is_structure.any():
+        _at_rest(bank, bank.is_structure)
+
+
+def _at_rest(bank: TrackBank, held: BoolArray) -> None:
     bank.states[held, :, 3:] = 0.0
     bank.covariances[held, :, 3:, :] = 0.0
     bank.covariances[held, :, :, 3:] = 0.0
     for k in range(3, bank.states.shape[2]):
         bank.covariances[held, :, k, k] = STANDING_VARIANCE
+
+
+def _hold_unseen(bank: TrackBank, states: FloatArray, covariances: FloatArray) -> None:
+    """Unseen tracks that stand stay where they were before this step, at (n, m, d), (n, m, d, d): what fades away,
+    below the lowest beam or behind something, seems to move while less and less of it is seen."""
+    held = bank.is_static & (bank.cluster_id == NO_ID)
+    if not held.any():
+        return
+    bank.states[held] = states[held]
+    bank.covariances[held] = covariances[held]
+    _at_rest(bank, held)

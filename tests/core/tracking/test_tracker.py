@@ -88,6 +88,20 @@ def test_coasting_bridges_an_occlusion(make_clusters: Make) -> None:
     assert tracks.misses[0] == 0
 
 
+def test_what_stands_and_fades_away_stays_where_it_was(make_clusters: Make) -> None:
+    """A rock that sinks below the lowest beam: less and less of it is seen, ever farther to one side, then nothing."""
+    frames = [make_clusters(0.1 * k, [[2.0, 0.0, 0.2]], radius_m=0.35) for k in range(30)]
+    fading = enumerate(zip((0.08, 0.16, 0.3), (0.3, 0.26, 0.15), strict=True), start=30)
+    frames += [make_clusters(0.1 * k, [[2.0, -shift, 0.2]], radius_m=radius) for k, (shift, radius) in fading]
+    frames += [make_clusters(0.1 * k, np.empty((0, 3))) for k in range(33, 40)]
+    history = run(frames)
+    seen, unseen = history[32], history[39]
+    assert unseen.is_static.tolist() == [True]
+    np.testing.assert_allclose(unseen.state[0, :2], seen.state[0, :2], atol=1e-3)
+    np.testing.assert_array_equal(unseen.state[0, 3:], 0.0)
+    check_sound(unseen)
+
+
 def test_uncertainty_grows_while_coasting(make_clusters: Make) -> None:
     frames = [make_clusters(0.1 * k, [[5.0, 2.0, 0.3]] if k < 20 else np.zeros((0, 3))) for k in range(28)]
     sizes = [t.covariance[0, 0, 0] for t in run(frames)][19:]
