@@ -80,7 +80,12 @@ class Shared:
     force: Annotated[bool, typer.Option("--force", help="Compute anew what could be reused.")] = False
     viz: Annotated[
         list[str] | None,
-        typer.Option("--viz", metavar="foxglove|ros2|rrd", help="Also write a log for this viewer; repeatable."),
+        typer.Option(
+            "--viz",
+            metavar="foxglove|ros2|rrd",
+            help="Also write a log for this viewer; repeatable.",
+            autocompletion=completing.one_of("foxglove", "ros2", "rrd"),
+        ),
     ] = None
     json_output: Json = False
 

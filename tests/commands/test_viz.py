@@ -126,6 +126,16 @@ def test_an_object_list_has_no_points_and_nobody_complains(tmp_path: Path) -> No
     assert shown == {"/tf": frames, "/clusters": frames, "/tracks": frames, "/predictions": frames}
 
 
+def test_times_that_no_viewer_reads_are_told(tmp_path: Path) -> None:
+    log = tmp_path / "people.csv"
+    lines = [f"{200_000_000 * (k - 5)},1,Pedestrian,3.0,0.0" for k in range(10)]
+    log.write_text("\n".join(["timestamp_ns,track_id,class,x_m,y_m", *lines]) + "\n")
+    code, _, err = adcbf("cluster", log, "-o", tmp_path / "people.adcbf", "--viz", "foxglove", "--viz", "ros2")
+    assert code == 1
+    assert "before 1970" in err
+    assert not list((tmp_path / "people.adcbf").glob("*viz*"))
+
+
 def test_an_unknown_viewer_is_refused_before_the_work(log: Path, tmp_path: Path) -> None:
     code, _, err = adcbf("run", log, "-o", tmp_path / "x.adcbf", "--viz", "rviz")
     assert code == 2

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from adcbf_cli.core.errors import AdcbfError
 from adcbf_cli.io.atomic import write_text_atomically
 from adcbf_cli.io.run_folder import Manifest, RunFolder
 from adcbf_cli.io.viz import VIEW_FILES
@@ -50,6 +51,10 @@ def write_views(
     with ExitStack() as stack:
         writers = [stack.enter_context(_open(name, folder.path / VIEW_FILES[name][0], show)) for name in names]
         for record in watched(scenes(folder, manifest, show, log)):
+            if record.stamp_ns < 0:
+                raise AdcbfError(
+                    f"{folder.path}: its times begin before 1970 ({record.stamp_ns} ns), which no viewer reads"
+                )
             if isinstance(record, SceneFrame):
                 frames += 1
                 clouds += record.cloud is not None
