@@ -14,8 +14,10 @@ from __future__ import annotations
 import difflib
 import enum
 import re
+import sys
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -57,7 +59,7 @@ class Plugin:
 
 def plugins(kind: Kind) -> list[Plugin]:
     """Everything that installed packages offer, by name; two packages may offer the same one."""
-    return sorted((_plugin(kind, point) for point in entry_points(group=kind)), key=_by_name)
+    return sorted((_plugin(kind, point) for point in _declared(tuple(sys.path)).select(group=kind)), key=_by_name)
 
 
 def find_plugin(kind: Kind, name: str, built_in: Collection[str]) -> Plugin:
@@ -100,6 +102,13 @@ def malformed(plugin: Plugin, what: str) -> UsageError:
 def overshadowed(kind: Kind, names: Collection[str]) -> list[Plugin]:
     """Plugins that cannot be reached, since one of these built-in `names` is theirs."""
     return [plugin for plugin in plugins(kind) if plugin.name in names]
+
+
+@lru_cache(maxsize=4)
+def _declared(path: tuple[str, ...]) -> Any:
+    """What all packages on sys.path declare. Looked through once: that takes a while, and what is installed does not
+    change while a process runs. What is returned has `select`; its class is not the same in all Pythons."""
+    return entry_points()
 
 
 def _plugin(kind: Kind, point: EntryPoint) -> Plugin:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from adcbf_cli.core import plugins as plugins_module
 from adcbf_cli.core.config import CLUSTERERS, Config, PerceptionConfig, PlanningConfig, TrackingConfig, VehicleConfig
 from adcbf_cli.core.errors import UsageError
 from adcbf_cli.core.perception.clusterers import plugin_clusterer
@@ -42,6 +43,7 @@ class Installed:
         groups = [f"[adcbf.{group}]\n{lines}\n" for group, lines in offers.items()]
         (info / "entry_points.txt").write_text("\n".join(groups))
         importlib.invalidate_caches()
+        plugins_module._declared.cache_clear()
 
 
 @pytest.fixture
