@@ -28,7 +28,8 @@ _SELF_EXPLAINING = ("missing", "extra_forbidden", "unknown_name")
 
 def settings_yaml(config: Config) -> str:
     """All settings as a file that `--config` takes."""
-    return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
+    text: str = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False)
+    return text
 
 
 def resolve_config(
