@@ -53,7 +53,7 @@ def report(
     from adcbf_cli.commands.terminal import print_json, progress, say
     from adcbf_cli.io.atomic import check_target, write_text_atomically
     from adcbf_cli.io.html_report.figures import write_figures
-    from adcbf_cli.io.html_report.gather import PAGE_BYTES, Wishes, gather_run
+    from adcbf_cli.io.html_report.gather import Wishes, gather_run
     from adcbf_cli.io.html_report.page import render
     from adcbf_cli.io.report import FIGURE_FOLDER, PAGE
     from adcbf_cli.io.run_folder import RunFolder
@@ -61,7 +61,7 @@ def report(
     _check_runs(runs)
     target = output or runs[0] / PAGE
     check_target(target)
-    wishes = Wishes(points, PAGE_BYTES // len(runs))
+    wishes = Wishes(points, len(runs))
     with ExitStack() as stack:
         for run in runs:
             stack.enter_context(RunFolder(run).locked())

@@ -71,7 +71,7 @@ def page_file(driven_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
     return path
 
 
-@pytest.fixture(scope="module", params=[(1280, "light"), (390, "dark")], ids=["wide-light", "narrow-dark"])
+@pytest.fixture(scope="module", params=[(1280, "light"), (360, "dark")], ids=["wide-light", "narrow-dark"])
 def opened(
     request: pytest.FixtureRequest, browser_path: str, page_file: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Opened]:

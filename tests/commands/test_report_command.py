@@ -15,8 +15,15 @@ import pyarrow.parquet as pq
 import pytest
 
 from adcbf_cli.core.evaluation.report import Metric
+from adcbf_cli.io.html_report import gather
 from adcbf_cli.io.report import number
 from tests.commands.conftest import run_here
+from tests.io.conftest import LogMaker
+
+
+@pytest.fixture(scope="module")
+def make() -> LogMaker:
+    return LogMaker()
 
 
 class Page(HTMLParser):
@@ -236,6 +243,35 @@ def test_a_page_of_outdated_tables_does_not_stay(driven_run: Path, tmp_path: Pat
     assert run_here("report", copy, "--no-figures").returncode == 0
     assert run_here("track", copy, "--set", "tracking.confirm_hits=4").returncode == 0
     assert not (copy / "report.html").exists()
+
+
+def test_a_run_that_is_too_large_is_thinned_and_says_so(driven_run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = gather.gather_run(driven_run, gather.Wishes(), lambda items, *_: iter(items))
+    size = len(json.dumps(whole.data, separators=(",", ":")))
+    monkeypatch.setattr(gather, "PAGE_BYTES", size - 1)
+    thinned = gather.gather_run(driven_run, gather.Wishes(), lambda items, *_: iter(items))
+    assert len(json.dumps(thinned.data, separators=(",", ":"))) < size
+    assert thinned.data["scene"]["shown"] == whole.data["scene"]["shown"][::2]
+    assert "top view: one in 2 of 121 scans" in thinned.thinned
+    assert thinned.data["scene"]["lives"] == whole.data["scene"]["lives"]
+
+
+def test_points_from_the_log_are_those_that_would_be_stored(tmp_path: Path, make: LogMaker) -> None:
+    log = make.mcap(tmp_path / "drive.mcap", make.drive(scans=12, padding=30))
+    stored, read = tmp_path / "stored.adcbf", tmp_path / "read.adcbf"
+    assert run_here("cluster", log, "-o", stored, "--range", "20", "--labels").returncode == 0
+    assert run_here("cluster", log, "-o", read, "--range", "20").returncode == 0
+    scenes = []
+    for folder in (stored, read):
+        run = gather.gather_run(folder, gather.Wishes(), lambda items, *_: iter(items))
+        assert "points" not in run.missing
+        assert run.missing["tracks"] == ("no tracks were made", f"adcbf track {folder}")
+        scenes.append(run.data["scene"]["shown"])
+    assert scenes[0] == scenes[1]
+    assert sum(len(frame.get("points", ())) for frame in scenes[0]) > 0
+    log.unlink()
+    gone = gather.gather_run(read, gather.Wishes(), lambda items, *_: iter(items))
+    assert "no longer where it was" in gone.missing["points"][0]
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,20 +15,31 @@ from adcbf_cli.core.types import FloatArray
 from adcbf_cli.io.html_report.thinning import MILLI, evenly, integers, with_extremes
 from adcbf_cli.io.parquet import ROWS_READ, batches, read_table
 
-MOST_TICKS = 1500
-MOST_PLANS = 300
 PLANNED_STAGES = 11
 TEN_THOUSANDTH = 10_000
 """Barriers and gammas are integers of this: a barrier below it, 1 cm^2, is as good as touched."""
 
 Key = tuple[str, int]
 
+
+@dataclass(frozen=True)
+class Detail:
+    """How much is shown tick by tick: about so many drives of a kind, and so many ticks and plans of each."""
+
+    drives: int = 24
+    ticks: int = 1500
+
+    @property
+    def plans(self) -> int:
+        return self.ticks // 5
+
+
 _TICKS = ("timestamp_ns", "x_m", "y_m", "yaw_rad", "speed_mps", "clearance_m", "log_m")
 _STAGES = ("tick", "stage", "x_m", "y_m", "barrier_m2", "gamma")
 
 
-def gather_drives(folder: Path, kind: str, start_ns: int, origin_m: FloatArray, most: int) -> dict[str, Any]:
-    """The drives of one kind: how many there are, and at most about `most` of them in full.
+def gather_drives(folder: Path, kind: str, start_ns: int, origin_m: FloatArray, detail: Detail) -> dict[str, Any]:
+    """The drives of one kind: how many there are, and some of them in `detail`.
 
     Seeds are shown whole, all planners of one: first the lowest seed, then those in which a drive failed, then the
     rest; at least one seed is.
@@ -35,7 +47,7 @@ def gather_drives(folder: Path, kind: str, start_ns: int, origin_m: FloatArray, 
     entries = read_table(
         folder / "drives.parquet", ["planner", "seed", "period_s", "result", "reference_speed_mps"]
     ).to_pylist()
-    seeds = _chosen_seeds(entries, most)
+    seeds = _chosen_seeds(entries, detail.drives)
     chosen = {(entry["planner"], entry["seed"]): entry for entry in entries if entry["seed"] in seeds}
     ticks = _columns(folder / "trajectories.parquet", chosen, _TICKS)
     solve = _columns(folder / "solve_times.parquet", chosen, ("solve_ms",))
@@ -47,7 +59,8 @@ def gather_drives(folder: Path, kind: str, start_ns: int, origin_m: FloatArray, 
             continue
         drive = {"kind": kind, "planner": key[0], "seed": key[1], "result": entry["result"]}
         planned = _plans(stages.get(key), len(ticks[key]["timestamp_ns"]))
-        drives.append(drive | _encoded(ticks[key], solve.get(key), outcomes.get(key), planned, start_ns, origin_m))
+        of_drive = _Driven(ticks[key], solve.get(key), outcomes.get(key) or [], planned)
+        drives.append(drive | _encoded(of_drive, start_ns, origin_m, detail))
     return {
         "kind": kind,
         "drives": drives,
@@ -106,21 +119,25 @@ def _plans(stages: dict[str, np.ndarray] | None, ticks: int) -> dict[str, FloatA
     return {name: stages[name].reshape(ticks, -1).astype(float) for name in ("x_m", "y_m", "barrier_m2", "gamma")}
 
 
-def _encoded(
-    ticks: dict[str, np.ndarray],
-    solve: dict[str, np.ndarray] | None,
-    outcome: list[str | None] | None,
-    plans: dict[str, FloatArray] | None,
-    start_ns: int,
-    origin_m: FloatArray,
-) -> dict[str, Any]:
+@dataclass(frozen=True)
+class _Driven:
+    """One drive's rows of each table; None where a table has none of it."""
+
+    ticks: dict[str, np.ndarray]
+    solve: dict[str, np.ndarray] | None
+    outcome: list[str | None]
+    plans: dict[str, FloatArray] | None
+
+
+def _encoded(driven: _Driven, start_ns: int, origin_m: FloatArray, detail: Detail) -> dict[str, Any]:
+    ticks, solve, plans = driven.ticks, driven.solve, driven.plans
     count = len(ticks["timestamp_ns"])
     nothing = np.full(count, np.nan)
     solve_ms = nothing if solve is None else solve["solve_ms"].astype(float)
     now = nothing if plans is None else plans["barrier_m2"][:, 0]
     worst = nothing if plans is None else _smallest(plans["barrier_m2"])
     gamma = nothing if plans is None else plans["gamma"][:, 0]
-    kept = with_extremes(count, MOST_TICKS, (ticks["clearance_m"], worst), (solve_ms,))
+    kept = with_extremes(count, detail.ticks, (ticks["clearance_m"], worst), (solve_ms,))
     after_ms = np.rint((ticks["timestamp_ns"] - start_ns) / 1e6)
     encoded = {
         "ticks": count,
@@ -134,11 +151,11 @@ def _encoded(
         "barrier_min_cm2": integers(worst[kept], TEN_THOUSANDTH),
         "gamma_e4": integers(gamma[kept], TEN_THOUSANDTH),
         "solve_us": integers(solve_ms[kept], MILLI),
-        "fallbacks": _spans(outcome or [], after_ms),
+        "fallbacks": _spans(driven.outcome, after_ms),
         "plans": None,
     }
     if plans is not None:
-        shown, stages = evenly(count, MOST_PLANS), evenly(plans["x_m"].shape[1], PLANNED_STAGES)
+        shown, stages = evenly(count, detail.plans), evenly(plans["x_m"].shape[1], PLANNED_STAGES)
         place = np.stack([plans[f"{axis}_m"][np.ix_(shown, stages)] - origin_m[i] for i, axis in enumerate("xy")], -1)
         encoded["plans"] = {"t_ms": integers(after_ms[shown]), "xy_mm": [integers(row, MILLI) for row in place]}
     return encoded
@@ -163,6 +180,20 @@ def _smallest(values: FloatArray) -> FloatArray:
     known = np.isfinite(values)
     lowest = np.where(known, values, np.inf).min(axis=1)
     return np.where(known.any(axis=1), lowest, np.nan)
+
+
+def left_out(gathered: dict[str, Any], detail: Detail, name: str) -> Iterator[str]:
+    """What of the drives of folder `name` is not on the page."""
+    if len(gathered["shown_seeds"]) < len(gathered["seeds"]):
+        seeds = ", ".join(map(str, gathered["shown_seeds"]))
+        yield (
+            f"{name}: of {len(gathered['seeds'])} seeds, {seeds} are shown tick by tick (first the lowest, then those "
+            "in which a drive failed); the tables count all"
+        )
+    if any(drive["ticks"] > detail.ticks for drive in gathered["drives"]):
+        yield f"{name}: about {detail.ticks:,} ticks a drive, the extremes among them"
+    if any(drive["plans"] is not None and drive["ticks"] > detail.plans for drive in gathered["drives"]):
+        yield f"{name}: {detail.plans} plans a drive, evenly spread"
 
 
 def gather_gamma(folder: Path) -> list[dict[str, Any]]:

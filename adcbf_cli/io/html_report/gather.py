@@ -15,7 +15,7 @@ import adcbf_cli
 from adcbf_cli.core.errors import AdcbfError
 from adcbf_cli.io.html_report import evidence
 from adcbf_cli.io.html_report.documents import Driving, Evaluation, read_document
-from adcbf_cli.io.html_report.drives import MOST_PLANS, MOST_TICKS, gather_drives, gather_gamma
+from adcbf_cli.io.html_report.drives import Detail, gather_drives, gather_gamma, left_out
 from adcbf_cli.io.html_report.points import LogPoints, encode_points, stored_points
 from adcbf_cli.io.html_report.scene import MOST_LIVES, PREDICTED_STEPS, gather_scene, halve
 from adcbf_cli.io.html_report.thinning import evenly, integers
@@ -31,9 +31,8 @@ PAGE_BYTES = 16_000_000
 """Data of all runs of a page together; with code, tables and figures it stays below 20 MB."""
 MOST_FRAMES = 600
 MOST_POINTS = 1000
-FEWEST_FRAMES = 100
+FEWEST_FRAMES = 40
 MOST_COUNTS = 3000
-MOST_DRIVES = 24
 POINT_CELL_M = 0.1
 SCANS_READ_AGAIN = 2000
 """A log of more scans is clustered again for its points only on request: it would take minutes."""
@@ -42,10 +41,19 @@ SCANS_READ_AGAIN = 2000
 @dataclass(frozen=True)
 class Wishes:
     """points: True, False, or None: where they are stored, or the log is at hand and not long.
-    data_bytes: how large this run's data may be."""
+    runs: how many share the page: each has its share of bytes, drives and, beyond two, of ticks."""
 
     points: bool | None = None
-    data_bytes: int = PAGE_BYTES
+    runs: int = 1
+
+    @property
+    def data_bytes(self) -> int:
+        return PAGE_BYTES // self.runs
+
+    @property
+    def detail(self) -> Detail:
+        full = Detail()
+        return Detail(max(1, full.drives // self.runs), full.ticks * 2 // max(2, self.runs))
 
 
 @dataclass
@@ -77,7 +85,7 @@ def gather_run(path: Path, wishes: Wishes, watch: Watch[Any]) -> RunPage:
     frames = manifest.stages["cluster"].rows["frames"]
     scene = gather_scene(path, stages, frames, MOST_FRAMES)
     _gather_points(folder, manifest, scene, wishes, watch, missing)
-    report, driving, drives, gamma = _gather_reports(folder, manifest, scene, missing, thinned)
+    report, driving, drives, gamma = _gather_reports(folder, manifest, scene, wishes, missing, thinned)
     for stage, what in (("track", "tracks"), ("predict", "predictions")):
         if stage not in stages:
             missing[what] = (f"no {what} were made", f"adcbf {stage} {path}")
@@ -125,6 +133,7 @@ def _gather_reports(
     folder: RunFolder,
     manifest: Manifest,
     scene: dict[str, Any],
+    wishes: Wishes,
     missing: dict[str, tuple[str, str]],
     thinned: list[str],
 ) -> tuple[dict[str, Any] | None, dict[str, dict[str, Any]], list[dict[str, Any]], list[dict[str, Any]]]:
@@ -141,7 +150,7 @@ def _gather_reports(
             missing[kind] = (found, command)
             continue
         driving[kind] = found
-        gathered = gather_drives(path / name, kind, scene["start_ns"], np.array(scene["origin_m"]), MOST_DRIVES)
+        gathered = gather_drives(path / name, kind, scene["start_ns"], np.array(scene["origin_m"]), wishes.detail)
         gathered["route"] = _route(found, scene)
         gathered["deadline_ms"] = round(1000 / found["config"]["planning"]["rate_hz"], 3)
         gathered["safety_m"] = found["config"]["planning"]["safety_distance_m"]
@@ -150,16 +159,7 @@ def _gather_reports(
         keep_out_mm = round(1000 * (gathered["body_radius_m"] + gathered["safety_m"]))
         maps = [{**entry, "keep_out_mm": keep_out_mm} for entry in gather_gamma(path / name)]
         gamma += [entry for entry in maps if entry not in gamma]
-        if len(gathered["shown_seeds"]) < len(gathered["seeds"]):
-            seeds = ", ".join(map(str, gathered["shown_seeds"]))
-            thinned.append(
-                f"{name}: of {len(gathered['seeds'])} seeds, {seeds} are shown tick by tick (first the lowest, then "
-                "those in which a drive failed); the tables count all"
-            )
-        if any(drive["ticks"] > MOST_TICKS for drive in gathered["drives"]):
-            thinned.append(f"{name}: about {MOST_TICKS} ticks a drive, the extremes among them")
-        if any(drive["ticks"] > MOST_PLANS for drive in gathered["drives"]):
-            thinned.append(f"{name}: {MOST_PLANS} plans a drive, evenly spread")
+        thinned += left_out(gathered, wishes.detail, name)
     return report, driving, drives, gamma
 
 
@@ -251,7 +251,7 @@ def _fitted(data: dict[str, Any], most_bytes: int, thinned: list[str]) -> dict[s
     while rest + _size(scene) > most_bytes and len(scene["shown"]) > FEWEST_FRAMES:
         scene = halve(scene)
     if scene["stride"] > 1:
-        thinned.append(f"top view: every {scene['stride']}th of {scene['frames']:,} scans")
+        thinned.append(f"top view: one in {scene['stride']} of {scene['frames']:,} scans")
     if scene.get("points"):
         thinned.append(
             f"points: one a {POINT_CELL_M:g} m square and cluster, at most {MOST_POINTS:,} a scan, seen from above"

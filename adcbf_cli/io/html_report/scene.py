@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import heapq
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,41 +19,59 @@ MOST_LIVES = 120
 SQUARE_MILLI = MILLI * MILLI
 
 
-@dataclass
-class Lives:
-    """When each track lived and in which state; fed with every scan, also those that the top view leaves out."""
+Span = list[int]
+"""From, to (ms) and state."""
 
-    spans: dict[int, list[list[int]]] = field(default_factory=dict)
-    confirmed: set[int] = field(default_factory=set)
+
+class Lives:
+    """When each track lived and in which state; fed with every scan, also those that the top view leaves out. Of the
+    confirmed tracks that have ended, only the longest-lived are kept."""
+
+    def __init__(self) -> None:
+        self.confirmed = 0
+        self._alive: dict[int, list[Span]] = {}
+        self._seen_often: set[int] = set()
+        self._ended: list[tuple[int, int, list[Span]]] = []
 
     def see(self, tracks: Tracks, t_ms: int) -> None:
-        for number, status, standing in zip(
-            tracks.track_id.tolist(), tracks.status.tolist(), tracks.is_static.tolist(), strict=True
-        ):
-            if status == TrackStatus.CONFIRMED:
-                self.confirmed.add(number)
-            state = _state(status, standing)
-            spans = self.spans.setdefault(number, [])
-            if spans and spans[-1][2] == state:
+        rows = zip(tracks.track_id.tolist(), tracks.status.tolist(), tracks.is_static.tolist(), strict=True)
+        for number, status, standing in rows:
+            if status == TrackStatus.CONFIRMED and number not in self._seen_often:
+                self._seen_often.add(number)
+                self.confirmed += 1
+            spans = self._alive.setdefault(number, [])
+            if spans:
                 spans[-1][1] = t_ms
-            else:
-                if spans:
-                    spans[-1][1] = t_ms
-                spans.append([t_ms, t_ms, state])
+            if status == TrackStatus.ENDED:
+                self._end(number)
+            elif not spans or spans[-1][2] != _state(status, standing):
+                spans.append([t_ms, t_ms, _state(status, standing)])
+
+    def _end(self, number: int) -> None:
+        spans = self._alive.pop(number)
+        if number in self._seen_often and spans:
+            self._seen_often.discard(number)
+            heapq.heappush(self._ended, (_length_ms(spans), -number, spans))
+            if len(self._ended) > MOST_LIVES:
+                heapq.heappop(self._ended)
 
     def longest(self) -> list[dict[str, Any]]:
         """The longest-lived confirmed tracks, in the order of their first sighting."""
-        lengths = {number: self.spans[number][-1][1] - self.spans[number][0][0] for number in self.confirmed}
-        chosen = sorted(lengths, key=lambda number: (-lengths[number], number))[:MOST_LIVES]
-        chosen.sort(key=lambda number: (self.spans[number][0][0], number))
-        return [{"id": number, "spans": self.spans[number]} for number in chosen]
+        alive = [(_length_ms(self._alive[number]), -number, self._alive[number]) for number in self._seen_often]
+        chosen = sorted([*self._ended, *alive], reverse=True)[:MOST_LIVES]
+        lives = [{"id": -negative, "spans": spans} for _, negative, spans in chosen]
+        return sorted(lives, key=lambda life: (life["spans"][0][0], life["id"]))
+
+
+def _length_ms(spans: list[Span]) -> int:
+    return spans[-1][1] - spans[0][0]
 
 
 def _state(status: int, standing: bool) -> int:
-    """0 tentative, 1 moving, 2 standing, 3 coasting, 4 ended."""
+    """0 tentative, 1 moving, 2 standing, 3 coasting."""
     if status == TrackStatus.CONFIRMED:
         return 2 if standing else 1
-    return {TrackStatus.TENTATIVE: 0, TrackStatus.COASTING: 3}.get(TrackStatus(status), 4)
+    return 0 if status == TrackStatus.TENTATIVE else 3
 
 
 def gather_scene(folder: Path, stages: tuple[str, ...], frames: int, most_frames: int) -> dict[str, Any]:
@@ -94,7 +112,7 @@ def gather_scene(folder: Path, stages: tuple[str, ...], frames: int, most_frames
         "origin_m": integers(origin),
         "counts": counts if "track" in stages else {name: counts[name] for name in ("t_ms", "clusters")},
         "lives": lives.longest(),
-        "confirmed": len(lives.confirmed),
+        "confirmed": lives.confirmed,
     }
 
 

@@ -93,10 +93,10 @@ class Picture {
         const last = k + 5 >= flat.length, half = Math.floor(flat.length / 10) * 5;
         if (!view.layers.ellipses || !(last || k + 5 === half)) continue;
         this.ellipse(...flat.slice(k, k + 5));
-        const was = pen.globalAlpha;
+        const was = pen.globalAlpha, moves = flat.length > 5;
         pen.globalAlpha = was * 0.06;
-        pen.fill();
-        pen.globalAlpha = was * 0.5;
+        if (moves) pen.fill();
+        pen.globalAlpha = was * (moves ? 0.5 : 0.3);
         pen.stroke();
         pen.globalAlpha = was;
       }

@@ -1,6 +1,6 @@
 // Tracks over time: a bar for each one's life, and one chosen track's position with what was predicted of it.
 
-const STATES = ["tentative", "moving", "standing", "coasting", "ended"];
+const STATES = ["tentative", "moving", "standing", "coasting"];
 const BAR_PX = 12;
 
 function livesCharts() {
@@ -9,7 +9,7 @@ function livesCharts() {
     const place = holder.querySelector(".lives");
     if (!lives.length) continue;
     place.append(element("h4", {}, `Lives of ${lives.length} confirmed tracks: click one to follow it`));
-    place.append(keys(STATES.slice(0, 4), "life"), livesPicture(lives, number));
+    place.append(keys(STATES, "life"), livesPicture(lives, number));
     const follow = followControl(lives, number);
     holder.querySelector(".one-track").before(follow);
     followTrack(holder.querySelector(".one-track"), run, number);
@@ -29,7 +29,7 @@ function livesPicture(lives, number) {
   const rows = lives.map(({ id, spans }) => ({
     name: String(id),
     title: `track ${id}: ${lifeInWords(spans)}`,
-    spans: spans.filter(([, , state]) => state !== 4).map(([from, to, state]) => [from, to, `life ${STATES[state]}`]),
+    spans: spans.map(([from, to, state]) => [from, to, `life ${STATES[state]}`]),
     click: () => {
       view.track[number] = id;
       view.changed("choice");
@@ -110,8 +110,7 @@ function fallbackWords(fallbacks) {
 }
 
 function lifeInWords(spans) {
-  const parts = spans.filter(([, , state]) => state !== 4);
-  return parts.map(([from, to, state]) =>
+  return spans.map(([from, to, state]) =>
     `${STATES[state]} ${(from / 1000).toFixed(1)} to ${(to / 1000).toFixed(1)} s`).join(", ");
 }
 
