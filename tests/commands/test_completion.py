@@ -18,6 +18,7 @@ from mcap.writer import Writer
 
 from adcbf_cli.core.planning.names import PLANNER_NAMES
 from adcbf_cli.core.planning.presets import PLANNERS
+from adcbf_cli.io import run_folder, stored_topics
 
 PROJECT = Path(__file__).resolve().parents[2]
 SAMPLE = PROJECT / "sample_data"
@@ -143,6 +144,7 @@ def test_several_offers_are_all_there(home: Path) -> None:
 
 
 def test_topics_come_through_a_run_folder(home: Path) -> None:
+    assert stored_topics.MANIFEST == run_folder.MANIFEST
     (home / "done.adcbf").mkdir()
     (home / "done.adcbf" / "run.json").write_text('{"source": {"path": "../sample.mcap"}}')
     assert offers(home, "adcbf plan done.adcbf --lidar ") == ["/points"]
