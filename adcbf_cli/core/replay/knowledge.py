@@ -27,8 +27,8 @@ Uncertainty = Literal["none", "sigma", "conformal"]
 class _Seen:
     """n tracks of one record: nodes at its stamp and its steps, M + 1 in all.
 
-    node_m: (n, M + 1, 2), the first extrapolated back from step 1. velocity_mps: (n, M + 1, 2).
-    sigma_m, conformal_m: (n, M + 1) margins, the first as at step 1.
+    z_m: (n,) height of the centre. node_m: (n, M + 1, 2), the first extrapolated back from step 1.
+    velocity_mps: (n, M + 1, 2). sigma_m, conformal_m: (n, M + 1) margins, the first as at step 1.
     """
 
     stamp_ns: int
@@ -36,6 +36,7 @@ class _Seen:
     track_id: IntArray
     is_static: BoolArray
     radius_m: FloatArray
+    z_m: FloatArray
     node_m: FloatArray
     velocity_mps: FloatArray
     sigma_m: FloatArray
@@ -46,6 +47,17 @@ class _Seen:
         return _Seen(self.stamp_ns, self.step_s, *per_track)
 
 
+@dataclass(frozen=True, slots=True)
+class _Standing:
+    """What stood when it was last seen: centre (2,), its height, and margins as at the record's first step."""
+
+    centre_m: FloatArray
+    radius_m: float
+    z_m: float
+    sigma_m: float
+    conformal_m: float
+
+
 class Knowledge:
     """Takes `Predictions` records in order of time; answers for any time from the newest one on."""
 
@@ -54,7 +66,7 @@ class Knowledge:
         self._notes = notes
         self._body_radius_m = body_radius_m
         self._seen: _Seen | None = None
-        self._standing: dict[int, tuple[FloatArray, float, FloatArray, FloatArray]] = {}
+        self._standing: dict[int, _Standing] = {}
         self._ended = False
         self._at: tuple[tuple[int, int, float, Uncertainty], Obstacles] | None = None
 
@@ -81,6 +93,18 @@ class Knowledge:
             self._standing.pop(track_id, None)
         self._forget(seen.node_m[:, 0], seen.radius_m)
         self._seen = seen
+        self._at = None
+
+    def standing(self) -> tuple[IntArray, FloatArray, FloatArray]:
+        """What is remembered to stand and not seen now: ids (k,), centres (k, 3), radii (k,)."""
+        items = self._standing.values()
+        centre = np.array([[*item.centre_m, item.z_m] for item in items]).reshape(-1, 3)
+        return np.array(list(self._standing), dtype=np.int64), centre, np.array([item.radius_m for item in items])
+
+    def forget(self, track_ids: IntArray) -> None:
+        """These are remembered no longer: their places were seen to be free."""
+        for track_id in track_ids.tolist():
+            del self._standing[track_id]
         self._at = None
 
     def end(self) -> None:
@@ -152,12 +176,16 @@ class Knowledge:
         """What stood and is no longer seen."""
         n = len(self._standing)
         items = list(self._standing.values())
-        place = np.array([item[0] for item in items]).reshape(n, 1, 2)
-        margin = {"none": 0.0, "sigma": [item[2] for item in items], "conformal": [item[3] for item in items]}
+        place = np.array([item.centre_m for item in items]).reshape(n, 1, 2)
+        margin = {
+            "none": 0.0,
+            "sigma": [item.sigma_m for item in items],
+            "conformal": [item.conformal_m for item in items],
+        }
         return Obstacles(
             track_id=np.array(list(self._standing), dtype=np.int64),
             position_m=np.repeat(place, steps + 1, axis=1),
-            radius_m=np.array([item[1] for item in items]),
+            radius_m=np.array([item.radius_m for item in items]),
             margin_m=np.tile(np.broadcast_to(np.asarray(margin[uncertainty]), (n,))[:, None], (1, steps + 1)),
             velocity_mps=np.zeros((n, 2)),
             is_static=np.ones(n, dtype=np.bool_),
@@ -167,11 +195,12 @@ class Knowledge:
         """Keeps standing tracks that are seen no more, with the margin of the record's first step."""
         first_conformal = np.where(np.isnan(gone.conformal_m[:, 0]), gone.sigma_m[:, 0], gone.conformal_m[:, 0])
         for row, track_id in enumerate(gone.track_id.tolist()):
-            self._standing[track_id] = (
-                gone.node_m[row, 0],
-                float(gone.radius_m[row]),
-                gone.sigma_m[row, 0],
-                first_conformal[row],
+            self._standing[track_id] = _Standing(
+                centre_m=gone.node_m[row, 0],
+                radius_m=float(gone.radius_m[row]),
+                z_m=float(gone.z_m[row]),
+                sigma_m=float(gone.sigma_m[row, 0]),
+                conformal_m=float(first_conformal[row]),
             )
 
     def _forget(self, centre_m: FloatArray, radius_m: FloatArray) -> None:
@@ -179,7 +208,7 @@ class Knowledge:
         if not self._standing or not len(centre_m):
             return
         ids = list(self._standing)
-        offset = np.array([self._standing[i][0] for i in ids])[:, None] - centre_m
+        offset = np.array([self._standing[i].centre_m for i in ids])[:, None] - centre_m
         covered = (np.hypot(offset[..., 0], offset[..., 1]) < radius_m).any(axis=1)
         for track_id in np.array(ids)[covered].tolist():
             del self._standing[track_id]
@@ -206,6 +235,7 @@ def _nodes(record: Predictions) -> _Seen:
         track_id=np.asarray(record.track_id, dtype=np.int64),
         is_static=np.asarray(record.is_static, dtype=np.bool_),
         radius_m=record.radius_m,
+        z_m=record.position_m[:, 0, 2],
         node_m=np.concatenate([position[:, :1] - velocity[:, :1] * record.step_s, position], axis=1),
         velocity_mps=np.concatenate([velocity[:, :1], velocity], axis=1),
         sigma_m=np.concatenate([record.sigma_radius_m[:, :1], record.sigma_radius_m], axis=1),

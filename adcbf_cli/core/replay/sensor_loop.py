@@ -22,6 +22,7 @@ from adcbf_cli.core.planning.reference import ReferencePath
 from adcbf_cli.core.prediction.predictor import Predictor
 from adcbf_cli.core.replay.closed_loop import Driver, Known
 from adcbf_cli.core.replay.drive_log import Setting
+from adcbf_cli.core.replay.free_space import seen_through
 from adcbf_cli.core.replay.knowledge import Knowledge
 from adcbf_cli.core.replay.log_path import LogPath
 from adcbf_cli.core.replay.perfect_knowledge import PerfectKnowledge
@@ -190,6 +191,8 @@ class _Senses:
             tracks = self._timed("track", self._track, clusters)
             predictions = self._timed("predict", self._predict, tracks)
             self._knowledge.update(predictions, simulated.odom_from_base[:2, 3])
+            track_id, centre_m, radius_m = self._knowledge.standing()
+            self._knowledge.forget(track_id[seen_through(simulated.frame, centre_m, radius_m)])
             self._note_known(predictions, stamp_ns)
             self._next += 1
 

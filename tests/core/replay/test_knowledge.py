@@ -130,6 +130,20 @@ def test_where_the_logs_vehicle_drives_nothing_stands(predicted: Make) -> None:
     assert len(known.obstacles(200 * MS, np.zeros(2), 10.0, 2, 0.1, "none")) == 0
 
 
+def test_what_is_remembered_to_stand_can_be_forgotten(predicted: Make) -> None:
+    known = Knowledge(Notes())
+    known.update(predicted(0, [[1.0, 0.0], [0.0, 2.0]], np.zeros((2, 2)), radius_m=np.array([0.3, 0.4])))
+    assert len(known.standing()[0]) == 0, "what is seen is not remembered"
+    known.update(predicted(100 * MS, np.empty((0, 2)), np.empty((0, 2))))
+    ids, centre, radius = known.standing()
+    assert ids.tolist() == [0, 1]
+    np.testing.assert_allclose(centre, [[1.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
+    np.testing.assert_allclose(radius, [0.3, 0.4])
+    assert len(known.obstacles(100 * MS, np.zeros(2), 10.0, 2, 0.1, "none")) == 2
+    known.forget(np.array([0]))
+    assert known.obstacles(100 * MS, np.zeros(2), 10.0, 2, 0.1, "none").track_id.tolist() == [1]
+
+
 def test_where_the_ego_is_nothing_else_is(predicted: Make) -> None:
     known = Knowledge(Notes(), body_radius_m=0.3)
     known.update(predicted(0, [[1.0, 0.0], [0.0, 2.0], [-0.2, 0.1]], np.zeros((3, 2)), radius_m=np.full(3, 0.8)))
