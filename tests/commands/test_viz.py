@@ -94,6 +94,17 @@ def test_without_its_log_a_run_is_shown_without_points(loss: str, run: Path, tmp
         assert topics(folder / name) == {topic: count for topic, count in whole.items() if topic != "/cloud"}
 
 
+def test_a_cut_log_is_shown_up_to_the_damage(log: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    whole = log.read_bytes()
+    cut.write_bytes(whole[: len(whole) * 2 // 3])
+    code, _, err = adcbf("cluster", cut, "-o", tmp_path / "cut.adcbf", "--range", "12", "--viz", "foxglove")
+    assert code == 3, err
+    frames = rows(tmp_path / "cut.adcbf" / "frames.parquet")
+    assert 0 < len(frames) < 12
+    assert topics(tmp_path / "cut.adcbf" / "viz.foxglove.mcap")["/cloud"] == len(frames)
+
+
 def test_views_of_what_is_computed_anew_are_removed(run: Path, tmp_path: Path) -> None:
     folder = copied(run, tmp_path)
     code, _, err = adcbf("track", folder, "--set", "tracking.max_coast_s=0.5")

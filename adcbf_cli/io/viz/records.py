@@ -16,7 +16,6 @@ from adcbf_cli.core.types import Clusters, FloatArray, IntArray, Predictions, Tr
 class Show:
     """What holds for the whole log. drives: those that `DriveTick`s will come from."""
 
-    source: str
     source_sha256: str
     world_frame: str
     sensor_frame: str

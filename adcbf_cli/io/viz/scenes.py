@@ -27,7 +27,6 @@ def show_of(folder: RunFolder, manifest: Manifest) -> tuple[Show, int]:
     world = str(manifest.selection.get("world_frame") or "world")
     sensor = str(manifest.selection.get("sensor_frame") or "sensor")
     show = Show(
-        source=Path(manifest.source.path).name,
         source_sha256=manifest.source.sha256,
         world_frame=world,
         sensor_frame=sensor if sensor != world else f"{sensor}_sensor",

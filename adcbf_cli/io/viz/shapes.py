@@ -19,6 +19,8 @@ NO_TRACK: Rgb = (225, 225, 225)
 
 _GOLDEN = 0.6180339887498949
 _LABEL_MARGIN_M = 0.01
+_LEAST_HALF_M = 0.001
+"""Viewers complain of things without a size."""
 
 _PLANNER_HUES = (0.56, 0.08, 0.44, 0.02, 0.90, 0.75, 0.14, 0.30, 0.64)
 
@@ -52,7 +54,7 @@ def ellipse(covariance_m2: FloatArray, probability: float) -> Ellipse:
     """Where a Gaussian (2 x 2) lies with this probability."""
     variance, axes = np.linalg.eigh(covariance_m2)
     scale = np.sqrt(-2.0 * np.log1p(-probability))
-    minor, major = scale * np.sqrt(np.maximum(variance, 0.0))
+    minor, major = np.maximum(scale * np.sqrt(np.maximum(variance, 0.0)), _LEAST_HALF_M)
     return Ellipse((float(major), float(minor)), float(np.arctan2(axes[1, 1], axes[0, 1])))
 
 

@@ -26,8 +26,8 @@ def test_an_ellipse_holds_its_share_of_a_gaussian() -> None:
         assert found.half_m[0] >= found.half_m[1]
 
 
-def test_an_ellipse_of_nothing_uncertain_is_a_point() -> None:
-    assert ellipse(np.zeros((2, 2)), 0.95).half_m == (0.0, 0.0)
+def test_an_ellipse_of_nothing_uncertain_is_next_to_nothing() -> None:
+    assert ellipse(np.zeros((2, 2)), 0.95).half_m == (0.001, 0.001)
 
 
 def test_points_are_labelled_by_the_rectangle_that_they_lie_in() -> None:
