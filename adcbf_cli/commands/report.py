@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -50,7 +51,7 @@ def report(
     """
     from contextlib import ExitStack
 
-    from adcbf_cli.commands.terminal import print_json, progress, say
+    from adcbf_cli.commands.terminal import print_json, progress
     from adcbf_cli.io.atomic import check_target, write_text_atomically
     from adcbf_cli.io.html_report.figures import write_figures
     from adcbf_cli.io.html_report.gather import Wishes, gather_run
@@ -62,26 +63,41 @@ def report(
     target = output or runs[0] / PAGE
     check_target(target)
     wishes = Wishes(points, len(runs))
+    drawn: list[Path] = []
     with ExitStack() as stack:
         for run in runs:
-            stack.enter_context(RunFolder(run).locked())
-        pages = [gather_run(run, wishes, progress) for run in runs]
+            if os.access(run, os.W_OK):  # where nobody may write, nobody does meanwhile
+                stack.enter_context(RunFolder(run).locked())
+        pages = [gather_run(run, name, wishes, progress) for run, name in zip(runs, _names(runs), strict=True)]
         write_text_atomically(target, render(pages))
-        drawn: list[Path] = []
         for page in pages if figures else ():
-            drawn += write_figures(page, target.parent / FIGURE_FOLDER / ("" if len(pages) == 1 else page.name))
+            own = "" if len(pages) == 1 else page.name.replace(os.sep, "_")
+            drawn += write_figures(page, target.parent / FIGURE_FOLDER / own)
     if json_output:
         print_json(_document(target, pages, drawn))
     else:
-        print(target)
-        for page in pages:
-            for section, (reason, command) in page.missing.items():
-                say(f"{page.name}: no {section}: {reason}" + (f"; to add them: {command}" if command else ""))
-        if drawn:
-            say(f"{len(drawn)} figures in {target.parent / FIGURE_FOLDER}")
-        say(f"{target.stat().st_size / 1e6:.1f} MB; open it in any browser, it needs no network")
+        _tell(target, pages, drawn)
     if any(record.losses for page in pages for record in page.manifest.stages.values()):
         raise typer.Exit(EXIT_DATA_LOST)
+
+
+def _names(runs: list[Path]) -> list[str]:
+    """What the runs are called: their folders' names, or the paths as given where two would be called the same."""
+    short = [run.resolve().name for run in runs]
+    return short if len(set(short)) == len(runs) else [str(run).rstrip(os.sep) for run in runs]
+
+
+def _tell(target: Path, pages: list[RunPage], drawn: list[Path]) -> None:
+    from adcbf_cli.commands.terminal import say
+    from adcbf_cli.io.report import FIGURE_FOLDER
+
+    print(target)
+    for page in pages:
+        for section, (reason, command) in page.missing.items():
+            say(f"{page.name}: no {section}: {reason}" + (f"; to add them: {command}" if command else ""))
+    if drawn:
+        say(f"{len(drawn)} figures in {target.parent / FIGURE_FOLDER}")
+    say(f"{target.stat().st_size / 1e6:.1f} MB; open it in any browser, it needs no network")
 
 
 def _check_runs(runs: list[Path]) -> None:

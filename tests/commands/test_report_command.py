@@ -246,10 +246,10 @@ def test_a_page_of_outdated_tables_does_not_stay(driven_run: Path, tmp_path: Pat
 
 
 def test_a_run_that_is_too_large_is_thinned_and_says_so(driven_run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = gather.gather_run(driven_run, gather.Wishes(), lambda items, *_: iter(items))
+    whole = gather.gather_run(driven_run, "people", gather.Wishes(), lambda items, *_: iter(items))
     size = len(json.dumps(whole.data, separators=(",", ":")))
     monkeypatch.setattr(gather, "PAGE_BYTES", size - 1)
-    thinned = gather.gather_run(driven_run, gather.Wishes(), lambda items, *_: iter(items))
+    thinned = gather.gather_run(driven_run, "people", gather.Wishes(), lambda items, *_: iter(items))
     assert len(json.dumps(thinned.data, separators=(",", ":"))) < size
     assert thinned.data["scene"]["shown"] == whole.data["scene"]["shown"][::2]
     assert "top view: one in 2 of 121 scans" in thinned.thinned
@@ -263,15 +263,27 @@ def test_points_from_the_log_are_those_that_would_be_stored(tmp_path: Path, make
     assert run_here("cluster", log, "-o", read, "--range", "20").returncode == 0
     scenes = []
     for folder in (stored, read):
-        run = gather.gather_run(folder, gather.Wishes(), lambda items, *_: iter(items))
+        run = gather.gather_run(folder, "drive", gather.Wishes(), lambda items, *_: iter(items))
         assert "points" not in run.missing
         assert run.missing["tracks"] == ("no tracks were made", f"adcbf track {folder}")
         scenes.append(run.data["scene"]["shown"])
     assert scenes[0] == scenes[1]
     assert sum(len(frame.get("points", ())) for frame in scenes[0]) > 0
     log.unlink()
-    gone = gather.gather_run(read, gather.Wishes(), lambda items, *_: iter(items))
+    gone = gather.gather_run(read, "drive", gather.Wishes(), lambda items, *_: iter(items))
     assert "no longer where it was" in gone.missing["points"][0]
+
+
+def test_runs_of_the_same_name_are_told_apart(driven_run: Path, tmp_path: Path) -> None:
+    twin = tmp_path / "other" / driven_run.name
+    shutil.copytree(driven_run, twin)
+    done = run_here("report", driven_run, twin, "-o", tmp_path / "both.html", "--json")
+    assert done.returncode == 0, done.stderr
+    names = [run["name"] for run in Page(tmp_path / "both.html").data["runs"]]
+    assert names == [str(driven_run), str(twin)]
+    drawn = json.loads(done.stdout)["figures"]
+    assert len(set(drawn)) == len(drawn) == 24
+    assert all(Path(path).is_file() for path in drawn)
 
 
 @pytest.mark.parametrize(

@@ -75,14 +75,14 @@ class RunPage:
     thinned: list[str] = field(default_factory=list)
 
 
-def gather_run(path: Path, wishes: Wishes, watch: Watch[Any]) -> RunPage:
-    """Reads a run folder. AdcbfError where it is none, holds nothing whole, or is damaged."""
+def gather_run(path: Path, name: str, wishes: Wishes, watch: Watch[Any]) -> RunPage:
+    """Reads a run folder, called `name` on the page. AdcbfError where it is none, holds nothing whole, or is damaged."""
     folder = RunFolder(path)
     manifest = folder.manifest()
     stages = _whole_stages(folder, manifest)
     missing: dict[str, tuple[str, str]] = {}
     thinned: list[str] = []
-    frames = manifest.stages["cluster"].rows["frames"]
+    frames = manifest.stages["cluster"].rows.get("frames", 0)
     scene = gather_scene(path, stages, frames, MOST_FRAMES)
     _gather_points(folder, manifest, scene, wishes, watch, missing)
     report, driving, drives, gamma = _gather_reports(folder, manifest, scene, wishes, missing, thinned)
@@ -90,7 +90,7 @@ def gather_run(path: Path, wishes: Wishes, watch: Watch[Any]) -> RunPage:
         if stage not in stages:
             missing[what] = (f"no {what} were made", f"adcbf {stage} {path}")
     data = {
-        "name": path.resolve().name,
+        "name": name,
         "scene": scene,
         "drives": drives,
         "gamma": gamma,
@@ -100,7 +100,7 @@ def gather_run(path: Path, wishes: Wishes, watch: Watch[Any]) -> RunPage:
     }
     data["scene"] = _fitted(data, wishes.data_bytes, thinned)
     return RunPage(
-        name=path.resolve().name,
+        name=name,
         folder=str(path),
         manifest=manifest,
         data=data,
