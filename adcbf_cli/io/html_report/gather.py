@@ -76,7 +76,7 @@ class RunPage:
 
 
 def gather_run(path: Path, name: str, wishes: Wishes, watch: Watch[Any]) -> RunPage:
-    """Reads a run folder, called `name` on the page. AdcbfError where it is none, holds nothing whole, or is damaged."""
+    """Reads a run folder, called `name` on its page. AdcbfError where it is none, has nothing whole, or is damaged."""
     folder = RunFolder(path)
     manifest = folder.manifest()
     stages = _whole_stages(folder, manifest)
