@@ -27,6 +27,11 @@ from adcbf_cli.core.tracking.structures import wall_pieces
 from adcbf_cli.core.tracking.views import learn_sizes, size_doubt, view_bodies
 from adcbf_cli.core.types import NO_ID, BoolArray, Clusters, FloatArray, IntArray, Notes, Tracks, TrackStatus
 
+PARTIAL = 0.75
+CONTAINED_M = 0.1
+"""A cluster of less than this share of a standing track's radius, within its circle to this much, is a part of it and
+says nothing of its centre."""
+
 STANDING_VARIANCE = 1e-4
 """Of the velocity (m^2/s^2) and higher derivatives of a piece of a wall."""
 
@@ -73,7 +78,7 @@ class Tracker:
             stood = bank.states.copy(), bank.covariances.copy()
             self._predict(bank, kalman, dt)
             taken = self._update(bank, kalman, clusters)
-            _hold_unseen(bank, *stood)
+            _hold_unseen(bank, clusters, *stood)
             self._end_and_confirm(bank)
             if not taken.all():
                 bank.append(self._born(kalman, clusters, ~taken))
@@ -385,10 +390,17 @@ def _at_rest(bank: TrackBank, held: BoolArray) -> None:
         bank.covariances[held, :, k, k] = STANDING_VARIANCE
 
 
-def _hold_unseen(bank: TrackBank, states: FloatArray, covariances: FloatArray) -> None:
-    """Unseen tracks that stand stay where they were before this step, at (n, m, d), (n, m, d, d): what fades away,
-    below the lowest beam or behind something, seems to move while less and less of it is seen."""
+def _hold_unseen(bank: TrackBank, clusters: Clusters, states: FloatArray, covariances: FloatArray) -> None:
+    """Tracks that stand and are unseen, or of which a small part is seen where they are, stay as they were before this
+    step: (n, m, d), (n, m, d, d). What fades away, below the lowest beam or behind something, seems to move while less
+    and less of it is seen."""
+    seen = np.flatnonzero(bank.is_static & (bank.cluster_id != NO_ID))
+    column = np.searchsorted(clusters.cluster_id, bank.cluster_id[seen])
+    centre = combine(states[seen], covariances[seen], bank.modes[seen])[0][:, :2]
+    off = np.hypot(*(clusters.centre_m[column, :2] - centre).T)
+    part_m, whole_m = clusters.radius_m[column], bank.radius_m[seen]
     held = bank.is_static & (bank.cluster_id == NO_ID)
+    held[seen] = (part_m < PARTIAL * whole_m) & (off + part_m <= whole_m + CONTAINED_M)
     if not held.any():
         return
     bank.states[held] = states[held]

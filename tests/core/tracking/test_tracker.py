@@ -97,6 +97,7 @@ def test_what_stands_and_fades_away_stays_where_it_was(make_clusters: Make) -> N
     history = run(frames)
     seen, unseen = history[32], history[39]
     assert unseen.is_static.tolist() == [True]
+    assert np.hypot(*(unseen.state[0, :2] - [2.0, 0.0])) < 0.1
     np.testing.assert_allclose(unseen.state[0, :2], seen.state[0, :2], atol=1e-3)
     np.testing.assert_array_equal(unseen.state[0, 3:], 0.0)
     check_sound(unseen)
