@@ -85,9 +85,9 @@ class RrdWriter:
     def write(self, item: Item) -> None:
         match item:
             case Transform():
-                self._add(f"world/{item.child}", item.stamp_ns, _transform(item))
+                self._add(_frame_path(item.child), item.stamp_ns, _transform(item))
             case Cloud():
-                self._add(f"world/{item.frame_id}{item.topic}", item.stamp_ns, *_cloud(item))
+                self._add(f"{_frame_path(item.frame_id)}{item.topic}", item.stamp_ns, *_cloud(item))
             case PosePath():
                 self._add(f"world{item.topic}", item.stamp_ns, _path(item))
             case Drawing():
@@ -152,6 +152,11 @@ class RrdWriter:
     def _take_id(self) -> int:
         self._ids += 1
         return self._ids
+
+
+def _frame_path(frame_id: str) -> str:
+    """Frames have a branch of their own: a transform moves all that is below it, and drawings are in the world."""
+    return f"world/frames/{_rerun().escape_entity_path_part(frame_id)}"
 
 
 def _transform(item: Transform) -> Any:

@@ -65,15 +65,22 @@ def test_predictions_end_where_the_tables_say(viz_run: Path, recording: Recordin
 
 def test_the_cloud_hangs_on_the_sensor(viz_run: Path, recording: Recording) -> None:
     frames = rows(viz_run / "frames.parquet")
-    cloud = recording["/world/lidar/cloud"]
+    cloud = recording["/world/frames/lidar/cloud"]
     assert times(cloud) == [row["timestamp_ns"] for row in frames]
     assert pc.list_value_length(cloud["Points3D:positions"]).to_pylist() == [row["points_read"] for row in frames]
     ids = [len(row) for row in cloud["track_id"].to_pylist()]
     assert ids == [row["points_read"] for row in frames]
-    sensor = places(recording, "/world/lidar", "Transform3D:translation")
+    sensor = places(recording, "/world/frames/lidar", "Transform3D:translation")
     for row in frames:
         want = [[row["sensor_x_m"], row["sensor_y_m"], row["sensor_z_m"]]]
         assert sensor[row["timestamp_ns"]] == pytest.approx(np.array(want), abs=1e-5)
+
+
+def test_nothing_that_is_drawn_in_the_world_is_moved_by_a_transform(recording: Recording) -> None:
+    moving = [path for path, table in recording.items() if "Transform3D:translation" in table.column_names]
+    below = {path for path in recording for mover in moving if path.startswith(f"{mover}/")}
+    assert len(moving) > 1
+    assert below == {"/world/frames/lidar/cloud"}
 
 
 def test_plans_and_paths_are_the_tables(viz_run: Path, recording: Recording) -> None:
