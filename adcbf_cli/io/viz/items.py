@@ -223,7 +223,7 @@ def shown_steps(steps: int) -> IntArray:
 
 def _of_tick(tick: DriveTick, show: Show) -> Iterator[Item]:
     topic, floor_m = drive_topic(tick.drive), tick.floor_m
-    number = show.drives.index(tick.drive)
+    number = show.planner_number(tick.drive.planner)
     rgb = planner_rgb(number)
     place = np.array([tick.pose[0], tick.pose[1], floor_m])
     yaw = float(tick.pose[2])

@@ -21,8 +21,8 @@ def foxglove_layout(show: Show) -> str:
         PREDICTIONS: {"visible": True},
         DRIVEN: _path(NO_CLUSTER, 0.04),
     }
-    for place, drive in enumerate(show.drives):
-        topic, rgb = drive_topic(drive), planner_rgb(place)
+    for drive in show.drives:
+        topic, rgb = drive_topic(drive), planner_rgb(show.planner_number(drive.planner))
         topics[f"{topic}/plan"] = _path(rgb, 0.05)
         topics[f"{topic}/driven"] = _path(rgb, 0.08)
         topics[f"{topic}/vehicle"] = {"visible": True}
@@ -84,8 +84,8 @@ def rviz_config(show: Show) -> str:
         *(_display("MarkerArray", topic.lstrip("/"), topic) for topic in (CLUSTERS, TRACKS, PREDICTIONS)),
         _path_display(DRIVEN, NO_CLUSTER, 0.04),
     ]
-    for place, drive in enumerate(show.drives):
-        topic, rgb = drive_topic(drive), planner_rgb(place)
+    for drive in show.drives:
+        topic, rgb = drive_topic(drive), planner_rgb(show.planner_number(drive.planner))
         displays += [_path_display(f"{topic}/plan", rgb, 0.05), _path_display(f"{topic}/driven", rgb, 0.08)]
         displays.append(_display("MarkerArray", f"{topic.lstrip('/')}/vehicle", f"{topic}/vehicle"))
     view = {

@@ -24,6 +24,10 @@ class Show:
     """Of the ellipses around tracks."""
     drives: tuple[DriveName, ...]
 
+    def planner_number(self, planner: str) -> int:
+        """A planner's place among those shown, the same in open and closed loop."""
+        return list(dict.fromkeys(drive.planner for drive in self.drives)).index(planner)
+
 
 @dataclass(frozen=True, slots=True)
 class DriveName:

@@ -238,6 +238,13 @@ def test_plans_and_driven_paths_are_the_first_seeds(mode: str, viz_run: Path, me
         assert len(messages[f"{topic}/vehicle"]) == len(driven)
 
 
+def test_a_planner_keeps_its_colour_in_the_layout(viz_run: Path) -> None:
+    layout = json.loads((viz_run / "viz.foxglove-layout.json").read_text())
+    shown = layout["configById"][layout["layout"]]["topics"]
+    assert shown["/replay/dwa/plan"]["gradient"] == shown["/open_loop/dwa/plan"]["gradient"]
+    assert shown["/replay/dwa/plan"]["gradient"] != shown["/replay/pure_pursuit/plan"]["gradient"]
+
+
 def test_the_layout_shows_the_topics_that_there_are(viz_run: Path, messages: Messages) -> None:
     layout = json.loads((viz_run / "viz.foxglove-layout.json").read_text())
     panel = layout["configById"][layout["layout"]]
