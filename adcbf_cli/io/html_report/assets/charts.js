@@ -68,7 +68,10 @@ class TimeChart {
   }
 
   scale(log) {
-    if (log) return { distr: 3, range: (plot, low, high) => [low * 0.8 || 0.01, high * 1.25 || 1] };
+    if (log) {
+      const most = (high) => Math.max(high || 1, ...(this.options.marks ? this.options.marks() : []).map(({ value }) => value));
+      return { distr: 3, range: (plot, low, high) => [(low || 0.01) * 0.8, most(high) * 1.5] };
+    }
     const must = this.options.include || [];
     return {
       range: (plot, low, high) => {
@@ -85,7 +88,8 @@ class TimeChart {
       ticks: { stroke: () => css("--line"), width: 1 },
       font: "11px system-ui, sans-serif",
       size,
-      values: (plot, values) => values.map((value) => (value === null ? "" : `${figure(value)}${unit && ` ${unit}`}`)),
+      values: (plot, values, axis) => values.map((value) => (
+        value === null || (axis === 1 && this.options.log && !isPowerOfTen(value)) ? "" : `${figure(value)}${unit && ` ${unit}`}`)),
     };
   }
 
@@ -156,6 +160,8 @@ class TimeChart {
     }
   }
 }
+
+function isPowerOfTen(value) { return Math.abs(Math.log10(value) - Math.round(Math.log10(value))) < 1e-9; }
 
 view.on("time", () => { for (const chart of CHARTS) chart.mark(); });
 view.on("theme", () => { for (const chart of CHARTS) if (chart.plot) chart.plot.redraw(); });

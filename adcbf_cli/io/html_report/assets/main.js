@@ -103,14 +103,20 @@ function driveControls() {
 }
 
 function legend() {
-  const marks = [
-    ["points, coloured by cluster; grey: none", "dots"], ["cluster's rectangle", "box"],
-    ["track: solid moving (with 1 s of velocity), thin standing, dashed coasting, dotted tentative", "ring"],
-    [`covariance ellipses, ${figure(DATA.runs[0].probability * 100)} %`, "ellipse"], ["predictions", "predicted"],
-    ["reference path and goal", "reference"], ["plan, a dot every few stages", "plan"],
-    ["driven path and vehicle, by planner; a cross: collision or timeout", "path"], ["the log's own vehicle", "logged"],
+  const share = `${figure(DATA.runs[0].probability * 100)} %`;
+  const words = [
+    "Dots: points, coloured by cluster, grey where they belong to none.",
+    "Thin grey rectangle: a cluster.",
+    "Circle: a track. Thick and orange while it moves, with an arrow of 1 s of its velocity; thin and blue while it stands; "
+      + "dashed while it is not seen; dotted while it is tentative.",
+    `Filled ellipse within it: where it is, with a probability of ${share}. Outlined ellipses: where it will be, with the same `
+      + "probability, half-way and at the end of the prediction; the line leads to them.",
+    "Dashed line to a ring: the reference path and its goal.",
+    "Thick line, ring and arrowhead: what a planner has driven, and where it is; thin line with dots: its plan. A cross: its "
+      + "drive ended in a collision or a timeout.",
+    "Grey line and arrowhead: the log's own vehicle.",
   ];
-  document.getElementById("legend").append(...marks.map(([words, kind]) => element("li", { class: `key-${kind}` }, words)));
+  document.getElementById("legend").append(...words.map((text) => element("li", {}, text)));
 }
 
 // The page opens at the smallest clearance of the chosen drives, else a quarter into the log.
