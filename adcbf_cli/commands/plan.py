@@ -15,7 +15,8 @@ def plan(shared: Shared, driving: Driving) -> None:
     Writes `open_loop/` in the run folder: plans, their stages (barrier, gamma), times, `report.json`, `report.md`.
     Clusters, tracks and predictions first, where they are not there yet.
 
-    Planners: mpc-dc, mpc-cbf, d-cbf-mpc, a-cbf-mpc, ad-cbf-mpc, od-ad-cbf-mpc, dwa, apf, pure-pursuit.
+    Planners: mpc-dc, mpc-cbf, d-cbf-mpc, a-cbf-mpc, ad-cbf-mpc, od-ad-cbf-mpc, dwa, apf, pure-pursuit, and those of
+    installed packages.
 
     Examples:
 
