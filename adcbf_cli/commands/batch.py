@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
 from typer.core import TyperCommand
@@ -103,8 +104,9 @@ def batch(
     with RunFolder(output).locked():
         (output / JSON_LINES).unlink(missing_ok=True)
         finished = start(tasks, run_log)
-        results = _Results(tasks, streamed=not json_output)
         with closing(finished), RunProgress(len(tasks), "batch", "logs") as progress:
+            # Now, with the bar begun, and before an engine keeps what it has to say away from stdout.
+            results = _Results(tasks, None if json_output else sys.stdout)
             for name, answer in finished:
                 progress.advance(failed=results.take(name, answer))
         _finish(tables, results, json_output)
@@ -162,11 +164,11 @@ def _checked_command(words: Sequence[str], log: Path) -> tuple[str, ...]:
 
 
 class _Results:
-    """The logs' rows in the order of the tasks, printed as soon as those before are there."""
+    """The logs' rows in the order of the tasks, written to `out` as soon as those before are there."""
 
-    def __init__(self, tasks: dict[str, LogTask], streamed: bool) -> None:
+    def __init__(self, tasks: dict[str, LogTask], out: TextIO | None) -> None:
         self._tasks = tasks
-        self._streamed = streamed
+        self._out = out
         self._found: dict[str, Row] = {}
         self._printed = 0
         self.reused = 0
@@ -181,14 +183,14 @@ class _Results:
         else:
             answer = keep_failure(self._tasks[name], answer[ERROR])
         self._found[name] = answer
-        if self._streamed:
-            self._print()
+        if self._out is not None:
+            self._print(self._out)
         return bool(answer["status"] == FAILED)
 
-    def _print(self) -> None:
+    def _print(self, out: TextIO) -> None:
         names = list(self._tasks)
         while self._printed < len(names) and names[self._printed] in self._found:
-            print(_line(self._found[names[self._printed]]), flush=True)
+            print(_line(self._found[names[self._printed]]), file=out, flush=True)
             self._printed += 1
 
     def rows(self) -> list[Row]:

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
+import socket
+import sys
 from collections.abc import Callable, Generator, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from itertools import islice
 from typing import Any, TypeVar
 
@@ -14,6 +17,8 @@ Task = TypeVar("Task")
 Row = dict[str, Any]
 Finished = Generator[tuple[str, Row], None, None]
 """Tasks' names and their rows, as they are finished; one whose process died has the row {ERROR: why}."""
+
+REACHED_WITHIN_S = 10.0
 
 RETRIES = 3
 """How often Ray starts a task anew whose worker, or its machine, died."""
@@ -69,16 +74,33 @@ def _connected(address: str | None, jobs: int | None) -> Iterator[Any]:
     for name, value in NO_USAGE_STATISTICS.items():
         os.environ.setdefault(name, value)
     ray = load_ray()
+    if address is not None:
+        _check_reachable(address)
     own = {} if address else {"num_cpus": jobs or cores(), "include_dashboard": False}
+    with redirect_stdout(sys.stderr):  # Ray prints there what happens to its workers
+        try:
+            ray.init(address or "local", log_to_driver=False, logging_level="ERROR", **own)
+        except (ConnectionError, ValueError, RuntimeError) as error:
+            raise _no_cluster(address or "this machine", error) from None
+        try:
+            yield ray
+        finally:
+            ray.shutdown()
+
+
+def _check_reachable(address: str) -> None:
+    """AdcbfError at once where nobody listens at HOST:PORT; Ray itself would try for minutes."""
+    match = re.fullmatch(r"(?:\w+://)?(.+):(\d{1,5})", address)
+    if match is None:  # such as "auto"
+        return
     try:
-        ray.init(address or "local", log_to_driver=False, logging_level="ERROR", **own)
-    except (ConnectionError, ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split())[:200]
-        raise AdcbfError(f"no Ray cluster at {address or 'this machine'}: {reason}") from None
-    try:
-        yield ray
-    finally:
-        ray.shutdown()
+        socket.create_connection((match[1].strip("[]"), int(match[2])), timeout=REACHED_WITHIN_S).close()
+    except (OSError, OverflowError) as error:
+        raise _no_cluster(address, error) from None
+
+
+def _no_cluster(where: str, error: Exception) -> AdcbfError:
+    return AdcbfError(f"no Ray cluster at {where}: {' '.join(str(error).split())[:200]}")
 
 
 def load_ray() -> Any:
