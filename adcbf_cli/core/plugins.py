@@ -18,7 +18,7 @@ import sys
 from collections.abc import Collection
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import Distribution, EntryPoint, distributions
 from typing import Any
 
 from adcbf_cli.core.errors import UsageError
@@ -59,7 +59,7 @@ class Plugin:
 
 def plugins(kind: Kind) -> list[Plugin]:
     """Everything that installed packages offer, by name; two packages may offer the same one."""
-    return sorted((_plugin(kind, point) for point in _declared(tuple(sys.path)).select(group=kind)), key=_by_name)
+    return sorted((plugin for plugin in _declared(tuple(sys.path)) if plugin.kind is kind), key=_by_name)
 
 
 def find_plugin(kind: Kind, name: str, built_in: Collection[str]) -> Plugin:
@@ -105,16 +105,27 @@ def overshadowed(kind: Kind, names: Collection[str]) -> list[Plugin]:
 
 
 @lru_cache(maxsize=4)
-def _declared(path: tuple[str, ...]) -> Any:
-    """What all packages on sys.path declare. Looked through once: that takes a while, and what is installed does not
-    change while a process runs. What is returned has `select`; its class is not the same in all Pythons."""
-    return entry_points()
+def _declared(path: tuple[str, ...]) -> tuple[Plugin, ...]:
+    """What all packages on sys.path declare; of one that lies there twice, the first counts. Looked through once: that
+    takes a while, and what is installed does not change while a process runs."""
+    found: dict[str, list[Plugin]] = {}
+    for package in distributions():
+        try:
+            offers = _offers(package)
+        except Exception:  # one package's damaged metadata must not stand in the way of all others
+            continue
+        if offers:
+            found.setdefault(offers[0].distribution.lower(), offers)
+    return tuple(plugin for offers in found.values() for plugin in offers)
 
 
-def _plugin(kind: Kind, point: EntryPoint) -> Plugin:
-    package = point.dist
-    name, version = ("a package", "of unknown version") if package is None else (package.name, package.version)
-    return Plugin(kind, point.name, str(name), str(version), point.value)
+def _offers(package: Distribution) -> list[Plugin]:
+    groups = {str(kind): kind for kind in Kind}
+    points = [point for point in package.entry_points if point.group in groups]
+    if not points:
+        return []
+    name, version = str(package.name or "a package"), str(package.version or "of unknown version")
+    return [Plugin(groups[point.group], point.name, name, version, point.value) for point in points]
 
 
 def _by_name(plugin: Plugin) -> tuple[str, str]:

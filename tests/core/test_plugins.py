@@ -131,6 +131,25 @@ def test_two_packages_with_one_name_are_both_named(installed: Installed) -> None
         planner("same")
 
 
+def test_a_package_whose_metadata_is_damaged_offers_nothing_and_breaks_nothing(installed: Installed) -> None:
+    installed.package("good", "", planners="good-one = good:make")
+    for name, content in (("torn", b"\xff\xfe[adcbf.planners"), ("bare", b"[adcbf.planners]\nunnamed = bare:make\n")):
+        info = installed.folder / f"{name}-1.dist-info"
+        info.mkdir()
+        (info / "entry_points.txt").write_bytes(content)
+    assert {plugin.name for plugin in plugins(Kind.PLANNER)} == {"good-one", "unnamed"}
+
+
+def test_of_a_package_that_lies_there_twice_the_first_counts(
+    installed: Installed, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    older = Installed(tmp_path_factory.mktemp("older"))
+    older.package("tools", "", "1.0", planners="one = tools:make")
+    monkeypatch.setattr(sys, "path", [*sys.path, str(older.folder)])
+    installed.package("tools", "", "2.0", planners="one = tools:make")
+    assert find_plugin(Kind.PLANNER, "one", PLANNERS).version == "2.0"
+
+
 def test_what_is_built_in_is_not_replaced_and_the_other_is_known(installed: Installed) -> None:
     installed.package("usurper", "def make(*_): return 'no planner'", planners="dwa = usurper:make")
     assert planner("dwa") != "no planner"
