@@ -69,7 +69,7 @@ def test_an_earlier_stage_shows_what_the_folder_holds(log: Path, tmp_path: Path)
     folder = tmp_path / "short.adcbf"
     code, _, err = adcbf("cluster", log, "-o", folder, "--range", "12", "--viz", "foxglove")
     assert code == 0, err
-    assert topics(folder / "viz.foxglove.mcap") == {"/tf": 12, "/cloud": 12, "/clusters": 12, "/driven": 12}
+    assert topics(folder / "viz.foxglove.mcap") == {"/tf": 12, "/cloud": 12, "/clusters": 12, "/driven": 4}
     code, _, err = adcbf("track", folder, "--viz", "foxglove")
     assert code == 0, err
     assert topics(folder / "viz.foxglove.mcap")["/tracks"] == 12

@@ -14,9 +14,6 @@ from adcbf_cli.io.parquet import read_table, told_as_damage
 from adcbf_cli.io.viz.records import DriveName, DriveTick
 from adcbf_cli.io.viz.shapes import Trail
 
-DRIVEN_EVERY_NS = 500_000_000
-"""The path so far is brought up to date so often: at each tick, it would be most of the file."""
-
 _BATCH_ROWS = 4096
 _POSE = ("x_m", "y_m", "yaw_rad")
 
@@ -41,15 +38,13 @@ def drive_ticks(run_folder: Path, drive: DriveName) -> Iterator[DriveTick]:
     folder = run_folder / drive.mode
     outcomes = _AtTick(_by_tick(folder / "plans.parquet", drive, ("outcome",)))
     plans = _AtTick(_by_tick(folder / "plan_stages.parquet", drive, _POSE))
-    trail, shown_ns = Trail(), None
+    trail = Trail()
     rows = _by_tick(folder / "trajectories.parquet", drive, ("timestamp_ns", *_POSE, "speed_mps", "clearance_m"))
     upcoming = next(rows, None)
     while upcoming is not None:
         (tick, row), upcoming = upcoming, next(rows, None)
         stamp_ns, pose = int(row["timestamp_ns"][0]), _poses(row)[0]
         trail.add(pose)
-        due = shown_ns is None or stamp_ns - shown_ns >= DRIVEN_EVERY_NS or upcoming is None
-        shown_ns = stamp_ns if due else shown_ns
         outcome, plan = outcomes.of(tick), plans.of(tick)
         yield DriveTick(
             drive=drive,
@@ -59,7 +54,7 @@ def drive_ticks(run_folder: Path, drive: DriveName) -> Iterator[DriveTick]:
             clearance_m=float(row["clearance_m"][0]),
             outcome="" if outcome is None else outcome["outcome"][0] or "",
             plan=None if plan is None else _poses(plan),
-            driven=trail.poses() if due and drive.has_own_path else None,
+            driven=trail.shown(stamp_ns, upcoming is None) if drive.has_own_path else None,
         )
 
 

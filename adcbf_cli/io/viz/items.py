@@ -131,7 +131,7 @@ def _of_frame(frame: SceneFrame, show: Show) -> Iterator[Item]:
         yield Drawing(TRACKS, stamp_ns, tuple(_track_entities(frame.tracks, show.probability)))
     if frame.predictions is not None:
         yield Drawing(PREDICTIONS, stamp_ns, tuple(_predicted_entities(frame.predictions)))
-    if frame.clusters.pose_known:
+    if frame.driven is not None:
         yield PosePath(DRIVEN, stamp_ns, np.column_stack([frame.driven, _headings(frame.driven)]), NO_CLUSTER)
 
 

@@ -60,7 +60,8 @@ class SceneFrame:
     cloud: None where the log could not be read. tracks, predictions: None where that stage has not run.
     cluster_track: one a cluster, the track that it updated in this frame, or NO_ID.
     floor_m: height in the world to draw on what has none: the bottoms of the obstacles around, smoothed.
-    driven: (k, 3) positions of the sensor so far, thinned, the last one now.
+    driven: (k, 3) positions of the sensor so far, thinned, the last one now; None where its pose is not known, and in
+        frames that do not bring it up to date.
     """
 
     stamp_ns: int
@@ -70,7 +71,7 @@ class SceneFrame:
     predictions: Predictions | None
     cloud: LabelledCloud | None
     floor_m: float
-    driven: FloatArray
+    driven: FloatArray | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -77,7 +77,10 @@ def _frames(folder: Path, manifest: Manifest, clouds: Iterator[Frame]) -> Iterat
     predictions = tables.read_predictions(folder) if predicted else None
     floor, trail = Floor(), Trail()
     waiting = next(clouds, None)
-    for clusters in tables.read_clusters(folder):
+    records = tables.read_clusters(folder)
+    upcoming = next(records, None)
+    while upcoming is not None:
+        clusters, upcoming = upcoming, next(records, None)
         trail.add(clusters.world_from_sensor[:3, 3])
         followed = None if tracks is None else next(tracks)
         cluster_track = _track_of_clusters(clusters, followed)
@@ -94,7 +97,7 @@ def _frames(folder: Path, manifest: Manifest, clouds: Iterator[Frame]) -> Iterat
             predictions=None if predictions is None else next(predictions),
             cloud=cloud,
             floor_m=floor.at(clusters),
-            driven=trail.poses(),
+            driven=trail.shown(clusters.stamp_ns, upcoming is None) if clusters.pose_known else None,
         )
 
 

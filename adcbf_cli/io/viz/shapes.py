@@ -119,12 +119,17 @@ def cloud_rgb(cloud: LabelledCloud) -> np.ndarray:
     return colours
 
 
+SHOWN_EVERY_NS = 500_000_000
+"""Paths so far are brought up to date so often: with every scan or tick, they would be most of the file."""
+
+
 class Trail:
     """A path so far in bounded memory: where it would hold more than `most` poses, every other one is dropped, and
     from then on only every other one is kept."""
 
     def __init__(self, most: int = 512) -> None:
         self._most = most
+        self._shown_ns: int | None = None
         self._kept: list[FloatArray] = []
         self._every = 1
         self._count = 0
@@ -138,6 +143,13 @@ class Trail:
                 self._every *= 2
         self._count += 1
         self._last = pose
+
+    def shown(self, stamp_ns: int, is_last: bool) -> FloatArray | None:
+        """The path, where it is time to bring it up to date, at the latest at its end."""
+        if self._shown_ns is not None and stamp_ns - self._shown_ns < SHOWN_EVERY_NS and not is_last:
+            return None
+        self._shown_ns = stamp_ns
+        return self.poses()
 
     def poses(self) -> FloatArray:
         """(k, 3), the newest last."""

@@ -238,6 +238,17 @@ def test_plans_and_driven_paths_are_the_first_seeds(mode: str, viz_run: Path, me
         assert len(messages[f"{topic}/vehicle"]) == len(driven)
 
 
+def test_the_sensors_way_is_the_tables(viz_run: Path, messages: Messages) -> None:
+    frames = rows(viz_run / "frames.parquet")
+    at, path = messages["/driven"][-1]
+    assert at == frames[-1]["timestamp_ns"]
+    assert [xyz(pose.position) for pose in path.poses] == [
+        (row["sensor_x_m"], row["sensor_y_m"], row["sensor_z_m"]) for row in frames
+    ]
+    gaps = np.diff([at for at, _ in messages["/driven"]])
+    assert gaps[:-1].min() >= 500_000_000
+
+
 def test_a_planner_keeps_its_colour_in_the_layout(viz_run: Path) -> None:
     layout = json.loads((viz_run / "viz.foxglove-layout.json").read_text())
     shown = layout["configById"][layout["layout"]]["topics"]

@@ -11,7 +11,7 @@ import yaml
 from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from tests.io.viz.viz_runs import by_stamp, first_seeds, rows
+from tests.io.viz.viz_runs import adcbf, by_stamp, first_seeds, rows
 
 Messages = dict[str, list[tuple[int, Any]]]
 ADD, DELETE = 0, 2
@@ -131,6 +131,23 @@ def test_the_cloud_has_the_logs_points_in_their_tracks_colour(viz_run: Path, mes
     tracks = {track: seen for track, seen in colours.items() if track >= 0}
     assert len(tracks) > 5
     assert all(seen == {drawn[track]} for track, seen in tracks.items())
+
+
+def test_obstacles_found_in_the_bag_are_those_of_the_run(viz_run: Path, tmp_path: Path) -> None:
+    """The bag is a log too: its cloud, placed by its own tf, must hold the same obstacles."""
+    again = tmp_path / "again.adcbf"
+    code, _, err = adcbf("cluster", viz_run / "viz.ros2.mcap", "-o", again, "--range", "12")
+    assert code == 0, err
+    want, got = by_stamp(rows(viz_run / "clusters.parquet")), by_stamp(rows(again / "clusters.parquet"))
+    found = total = 0
+    for at, clusters in want.items():
+        places = np.array([[row["x_m"], row["y_m"], row["z_m"]] for row in got[at]])
+        for row in clusters:
+            total += 1
+            distance = np.linalg.norm(places - [row["x_m"], row["y_m"], row["z_m"]], axis=1).min()
+            found += distance < 0.02
+    assert total > 100
+    assert found / total > 0.95
 
 
 def test_paths_are_the_plans(viz_run: Path, messages: Messages) -> None:
