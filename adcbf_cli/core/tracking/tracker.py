@@ -22,18 +22,11 @@ from adcbf_cli.core.tracking.linalg import inverted, quadratic_form, symmetrised
 from adcbf_cli.core.tracking.measurement import noise_along_axes, nominal_variance
 from adcbf_cli.core.tracking.modes import ModeChain, combine, mix, reweighed
 from adcbf_cli.core.tracking.sharing import Sharing, homes, share_clusters
+from adcbf_cli.core.tracking.standing import hold_faint, hold_structures
 from adcbf_cli.core.tracking.stillness import Sightings, still
 from adcbf_cli.core.tracking.structures import wall_pieces
 from adcbf_cli.core.tracking.views import learn_sizes, size_doubt, view_bodies
 from adcbf_cli.core.types import NO_ID, BoolArray, Clusters, FloatArray, IntArray, Notes, Tracks, TrackStatus
-
-PARTIAL = 0.75
-CONTAINED_M = 0.1
-"""A cluster of less than this share of a standing track's radius, within its circle to this much, is a part of it and
-says nothing of its centre."""
-
-STANDING_VARIANCE = 1e-4
-"""Of the velocity (m^2/s^2) and higher derivatives of a piece of a wall."""
 
 
 class Tracker:
@@ -78,7 +71,7 @@ class Tracker:
             stood = bank.states.copy(), bank.covariances.copy()
             self._predict(bank, kalman, dt)
             taken = self._update(bank, kalman, clusters)
-            _hold_unseen(bank, clusters, *stood)
+            hold_faint(bank, clusters, *stood)
             self._end_and_confirm(bank)
             if not taken.all():
                 bank.append(self._born(kalman, clusters, ~taken))
@@ -125,7 +118,7 @@ class Tracker:
         bank.nis = np.full(len(bank), np.nan)
         if not len(bank):
             return
-        _hold_structures(bank)
+        hold_structures(bank)
         n, m, d = bank.states.shape
         states, covariances, bank.modes = mix(bank.states, bank.covariances, bank.modes, self._chain.transition(dt))
         noise = self._chain.noise_factor[:, None, None] * kalman.motion.process_noise(dt)
@@ -374,35 +367,3 @@ def select_clusters(clusters: Clusters, rows: BoolArray) -> Clusters:
         probability=clusters.probability[rows],
         split_from=clusters.split_from[rows],
     )
-
-
-def _hold_structures(bank: TrackBank) -> None:
-    """Pieces of walls start each step at rest."""
-    if bank.is_structure.any():
-        _at_rest(bank, bank.is_structure)
-
-
-def _at_rest(bank: TrackBank, held: BoolArray) -> None:
-    bank.states[held, :, 3:] = 0.0
-    bank.covariances[held, :, 3:, :] = 0.0
-    bank.covariances[held, :, :, 3:] = 0.0
-    for k in range(3, bank.states.shape[2]):
-        bank.covariances[held, :, k, k] = STANDING_VARIANCE
-
-
-def _hold_unseen(bank: TrackBank, clusters: Clusters, states: FloatArray, covariances: FloatArray) -> None:
-    """Tracks that stand and are unseen, or of which a small part is seen where they are, stay as they were before this
-    step: (n, m, d), (n, m, d, d). What fades away, below the lowest beam or behind something, seems to move while less
-    and less of it is seen."""
-    seen = np.flatnonzero(bank.is_static & (bank.cluster_id != NO_ID))
-    column = np.searchsorted(clusters.cluster_id, bank.cluster_id[seen])
-    centre = combine(states[seen], covariances[seen], bank.modes[seen])[0][:, :2]
-    off = np.hypot(*(clusters.centre_m[column, :2] - centre).T)
-    part_m, whole_m = clusters.radius_m[column], bank.radius_m[seen]
-    held = bank.is_static & (bank.cluster_id == NO_ID)
-    held[seen] = (part_m < PARTIAL * whole_m) & (off + part_m <= whole_m + CONTAINED_M)
-    if not held.any():
-        return
-    bank.states[held] = states[held]
-    bank.covariances[held] = covariances[held]
-    _at_rest(bank, held)

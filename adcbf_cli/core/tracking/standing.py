@@ -1,0 +1,48 @@
+"""What stands keeps its place: pieces of walls, and what fades from sight."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from adcbf_cli.core.tracking.bank import TrackBank
+from adcbf_cli.core.tracking.modes import combine
+from adcbf_cli.core.types import NO_ID, BoolArray, Clusters, FloatArray, IntArray
+
+PARTIAL = 0.75
+CONTAINED_M = 0.1
+"""A cluster of less than this share of a standing track's radius, within its circle to this much, is a part of it and
+says nothing of its centre."""
+
+STANDING_VARIANCE = 1e-4
+"""Of the velocity (m^2/s^2) and higher derivatives of what is held at rest."""
+
+
+def hold_structures(bank: TrackBank) -> None:
+    """Pieces of walls start each step at rest."""
+    if bank.is_structure.any():
+        _at_rest(bank, bank.is_structure)
+
+
+def hold_faint(bank: TrackBank, clusters: Clusters, states: FloatArray, covariances: FloatArray) -> None:
+    """Tracks that stand, and of which a small part is seen where they are, stay as they were before this step, at
+    (n, m, d), (n, m, d, d). What sinks below the lowest beam, or goes out of sight behind something, seems to move
+    while less and less of it is seen."""
+    seen = np.flatnonzero(bank.is_static & (bank.cluster_id != NO_ID))
+    if not len(seen):
+        return
+    column = np.searchsorted(clusters.cluster_id, bank.cluster_id[seen])
+    centre = combine(states[seen], covariances[seen], bank.modes[seen])[0][:, :2]
+    off = np.hypot(*(clusters.centre_m[column, :2] - centre).T)
+    part_m, whole_m = clusters.radius_m[column], bank.radius_m[seen]
+    held = seen[(part_m < PARTIAL * whole_m) & (off + part_m <= whole_m + CONTAINED_M)]
+    bank.states[held] = states[held]
+    bank.covariances[held] = covariances[held]
+    _at_rest(bank, held)
+
+
+def _at_rest(bank: TrackBank, held: BoolArray | IntArray) -> None:
+    bank.states[held, :, 3:] = 0.0
+    bank.covariances[held, :, 3:, :] = 0.0
+    bank.covariances[held, :, :, 3:] = 0.0
+    for k in range(3, bank.states.shape[2]):
+        bank.covariances[held, :, k, k] = STANDING_VARIANCE
