@@ -1,0 +1,46 @@
+"""The batch benchmark: its sums by hand, and one round on a list of two objects."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from tests.commands.test_batch import objects
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS"):
+        monkeypatch.setenv(name, "1")
+    return importlib.import_module("batch")
+
+
+def test_what_starting_costs_is_told_apart_from_the_logs(script: ModuleType) -> None:
+    """Four logs: one process takes 2 s to start and 5 s a log, two take 3 s and half of that."""
+    one, two = script.Way("processes", 1), script.Way("processes", 2)
+    rows = script.table([one, two], {one: 22.0, two: 13.0}, {one: 2.0, two: 3.0}, 4)
+    assert [row["s_a_log"] for row in rows] == [5.0, 2.5]
+    assert [row["speed_up"] for row in rows] == [1.0, pytest.approx(22 / 13)]
+
+
+def test_one_round(tmp_path: Path) -> None:
+    log, figures = objects(tmp_path / "walk.csv"), tmp_path / "figures.json"
+    options = ["--log", str(log), "--copies", "1", "--rounds", "1", "--processes", "1", "--json", str(figures)]
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "benchmarks" / "batch.py"), *options], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    rows = json.loads(figures.read_text())["rows"]
+    assert [row["engine"] for row in rows] == (["processes", "ray"] if find_spec("ray") else ["processes"])
+    assert all(row["wall_s"] > 0 and row["start_s"] > 0 for row in rows)
+    assert "| engine | processes |" in done.stdout
