@@ -59,12 +59,13 @@ def difference_text(change: Change) -> str:
     size = "0" if change.difference == 0 else f"{change.difference:+.3g}"
     if change.interval is None:
         return size
-    return f"{size} ({number(change.interval[0])} to {number(change.interval[1])})"
+    return f"{size} ({change.interval[0]:.2g} to {change.interval[1]:.2g})"
 
 
 def verdict_text(change: Change) -> str:
     """What to say of it in a table: nothing where there is nothing to say."""
-    return "" if change.verdict in ("unknown", "the same") else change.verdict
+    short = {"unknown": "", "the same": "", "no clear difference": "unclear"}
+    return short.get(change.verdict, change.verdict)
 
 
 def tally(found: RunComparison) -> str:
