@@ -93,23 +93,28 @@ def batch(
 
         adcbf batch --from logs.txt --engine ray --address head:6379 -o /shared/logs.batch
     """
-    from adcbf_cli.commands.batch_work import run_log
-    from adcbf_cli.commands.run_progress import RunProgress
     from adcbf_cli.io.batch_tables import BatchTables
     from adcbf_cli.io.run_folder import RunFolder
 
     start = _engine(engine, address, jobs)
     tasks = _plan(logs or [], list_file, output, ctx.meta.get(_COMMAND, []))
-    tables = BatchTables(output)
     with RunFolder(output).locked():
         (output / JSON_LINES).unlink(missing_ok=True)
-        finished = start(tasks, run_log)
-        with closing(finished), RunProgress(len(tasks), "batch", "logs") as progress:
-            # Now, with the bar begun, and before an engine keeps what it has to say away from stdout.
-            results = _Results(tasks, None if json_output else sys.stdout)
-            for name, answer in finished:
-                progress.advance(failed=results.take(name, answer))
-        _finish(tables, results, json_output)
+        _finish(BatchTables(output), _work(start, tasks, streamed=not json_output), json_output)
+
+
+def _work(start: Callable[..., Finished], tasks: dict[str, LogTask], streamed: bool) -> _Results:
+    """Every log's row; streamed: printed as they come."""
+    from adcbf_cli.commands.batch_work import run_log
+    from adcbf_cli.commands.run_progress import RunProgress
+
+    finished = start(tasks, run_log)
+    with closing(finished), RunProgress(len(tasks), "batch", "logs") as progress:
+        # Now, with the bar begun, and before an engine keeps what it has to say away from stdout.
+        results = _Results(tasks, sys.stdout if streamed else None)
+        for name, answer in finished:
+            progress.advance(failed=results.take(name, answer))
+    return results
 
 
 def _engine(name: str, address: str | None, jobs: int | None) -> Callable[..., Finished]:

@@ -15,6 +15,7 @@ from adcbf_cli.core.errors import EXIT_THRESHOLD, AdcbfError, UsageError
 
 if TYPE_CHECKING:
     from adcbf_cli.core.evaluation.change_limits import ChangeLimit
+    from adcbf_cli.core.evaluation.run_comparison import RunComparison
     from adcbf_cli.core.evaluation.scored_run import ScoredRun
 
 STDOUT = "-"
@@ -53,7 +54,7 @@ def compare(
     from adcbf_cli.core.evaluation import run_comparison_text as text
     from adcbf_cli.core.evaluation.change_limits import exceeded, parse_change_limit
     from adcbf_cli.core.evaluation.run_comparison import compare_runs
-    from adcbf_cli.io.atomic import check_target, write_text_atomically
+    from adcbf_cli.io.atomic import check_target
     from adcbf_cli.io.score_blocks import read_score_blocks
 
     limits = [parse_change_limit(word) for word in fail_on or []]
@@ -67,24 +68,35 @@ def compare(
     found = [compare_runs(base, run, blocks[0], own) for run, own in zip(others, blocks[1:], strict=True)]
     missed = {one.run: exceeded(limits, one.changes) for one in found}
     if markdown is not None:
-        page = text.markdown(base, found, missed)
-        if markdown == STDOUT:
-            sys.stdout.write(page)
-        else:
-            write_text_atomically(Path(markdown), page)
+        _write(markdown, text.markdown(base, found, missed))
     if json_output:
         print_json(text.document(base, others, found, list(map(str, limits)), missed))
     elif markdown != STDOUT:
         names = text.headline_names(base, found)
         print_table(f"compared with {base.name}", *text.side_by_side(base.name, found, names))
     for one in found:
-        for remark in one.remarks:
-            say(f"warning: {one.run}: {remark}")
-        say(f"{one.run}: of {len(one.changes)} metrics {text.tally(one)}")
-        for line in missed[one.run]:
-            say(f"threshold missed: {one.run}: {line}")
+        _tell(one, missed[one.run])
     if any(missed.values()):
         raise typer.Exit(EXIT_THRESHOLD)
+
+
+def _write(target: str, page: str) -> None:
+    from adcbf_cli.io.atomic import write_text_atomically
+
+    if target == STDOUT:
+        sys.stdout.write(page)
+    else:
+        write_text_atomically(Path(target), page)
+
+
+def _tell(found: RunComparison, missed: Sequence[str]) -> None:
+    from adcbf_cli.core.evaluation.run_comparison_text import tally
+
+    for remark in found.remarks:
+        say(f"warning: {found.run}: {remark}")
+    say(f"{found.run}: of {len(found.changes)} metrics {tally(found)}")
+    for line in missed:
+        say(f"threshold missed: {found.run}: {line}")
 
 
 def _read(paths: Sequence[Path]) -> list[ScoredRun]:
