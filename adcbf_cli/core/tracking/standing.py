@@ -13,6 +13,9 @@ CONTAINED_M = 0.1
 """A cluster of less than this share of a standing track's radius, within its circle to this much, is a part of it and
 says nothing of its centre."""
 
+FADING_S = 0.5
+"""What is seen in part for longer is no longer fading: it was taken for larger than it is."""
+
 STANDING_VARIANCE = 1e-4
 """Of the velocity (m^2/s^2) and higher derivatives of what is held at rest."""
 
@@ -23,18 +26,20 @@ def hold_structures(bank: TrackBank) -> None:
         _at_rest(bank, bank.is_structure)
 
 
-def hold_faint(bank: TrackBank, clusters: Clusters, states: FloatArray, covariances: FloatArray) -> None:
-    """Tracks that stand, and of which a small part is seen where they are, stay as they were before this step, at
-    (n, m, d), (n, m, d, d). What sinks below the lowest beam, or goes out of sight behind something, seems to move
-    while less and less of it is seen."""
-    seen = np.flatnonzero(bank.is_static & (bank.cluster_id != NO_ID))
+def hold_faint(bank: TrackBank, clusters: Clusters, now_s: float, states: FloatArray, covariances: FloatArray) -> None:
+    """Tracks that stand, and of which only a small part is seen where they are, stay for FADING_S as they were before
+    this step, at (n, m, d), (n, m, d, d). What sinks below the lowest beam, or goes out of sight behind something,
+    seems to move while less and less of it is seen."""
+    seen = np.flatnonzero(bank.cluster_id != NO_ID)
     if not len(seen):
         return
     column = np.searchsorted(clusters.cluster_id, bank.cluster_id[seen])
     centre = combine(states[seen], covariances[seen], bank.modes[seen])[0][:, :2]
     off = np.hypot(*(clusters.centre_m[column, :2] - centre).T)
     part_m, whole_m = clusters.radius_m[column], bank.radius_m[seen]
-    held = seen[(part_m < PARTIAL * whole_m) & (off + part_m <= whole_m + CONTAINED_M)]
+    partial = (part_m < PARTIAL * whole_m) & (off + part_m <= whole_m + CONTAINED_M)
+    bank.whole_s[seen[~partial]] = now_s
+    held = seen[partial & bank.is_static[seen] & (now_s - bank.whole_s[seen] <= FADING_S)]
     bank.states[held] = states[held]
     bank.covariances[held] = covariances[held]
     _at_rest(bank, held)

@@ -71,7 +71,7 @@ class Tracker:
             stood = bank.states.copy(), bank.covariances.copy()
             self._predict(bank, kalman, dt)
             taken = self._update(bank, kalman, clusters)
-            hold_faint(bank, clusters, *stood)
+            hold_faint(bank, clusters, self._now_s, *stood)
             self._end_and_confirm(bank)
             if not taken.all():
                 bank.append(self._born(kalman, clusters, ~taken))
@@ -304,6 +304,7 @@ class Tracker:
         born.cluster_id = clusters.cluster_id[rows].astype(np.int64)
         born.born_s = np.full(n, self._now_s)
         born.seen_s = np.full(n, self._now_s)
+        born.whole_s = np.full(n, self._now_s)
         born.hits = np.ones(n, dtype=np.int64)
         born.misses = np.zeros(n, dtype=np.int64)
         born.frames = np.ones(n, dtype=np.int64)

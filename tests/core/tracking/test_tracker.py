@@ -103,6 +103,16 @@ def test_what_stands_and_fades_away_stays_where_it_was(make_clusters: Make) -> N
     check_sound(unseen)
 
 
+def test_what_was_taken_for_larger_than_it_is_may_still_move(make_clusters: Make) -> None:
+    """A cluster of 0.65 m stands; then it is one of 0.3 m that creeps on at 0.15 m/s from its middle."""
+    frames = [make_clusters(0.1 * k, [[2.0, 0.0, 0.2]], radius_m=0.65) for k in range(30)]
+    frames += [make_clusters(0.1 * k, [[2.0 + 0.015 * (k - 30), 0.0, 0.2]], radius_m=0.3) for k in range(30, 60)]
+    last = run(frames)[-1]
+    seen = last.cluster_id != NO_ID
+    assert last.is_static[seen].tolist() == [False]
+    assert last.state[seen, 3] == pytest.approx([0.15], abs=0.05)
+
+
 def test_uncertainty_grows_while_coasting(make_clusters: Make) -> None:
     frames = [make_clusters(0.1 * k, [[5.0, 2.0, 0.3]] if k < 20 else np.zeros((0, 3))) for k in range(28)]
     sizes = [t.covariance[0, 0, 0] for t in run(frames)][19:]
