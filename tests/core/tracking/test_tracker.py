@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from adcbf_cli.core.config import TrackingConfig
 from adcbf_cli.core.frames import pose_matrix
 from adcbf_cli.core.tracking.tracker import Tracker, track_clusters
-from adcbf_cli.core.types import NO_ID, Clusters, Notes, Tracks, TrackStatus
+from adcbf_cli.core.types import NO_ID, Clusters, FloatArray, Notes, Tracks, TrackStatus
 
 Make = Callable[..., Clusters]
 
@@ -103,14 +103,19 @@ def test_what_stands_and_fades_away_stays_where_it_was(make_clusters: Make) -> N
     check_sound(unseen)
 
 
-def test_what_was_taken_for_larger_than_it_is_may_still_move(make_clusters: Make) -> None:
-    """A cluster of 0.65 m stands; then it is one of 0.3 m that creeps on at 0.15 m/s from its middle."""
-    frames = [make_clusters(0.1 * k, [[2.0, 0.0, 0.2]], radius_m=0.65) for k in range(30)]
-    frames += [make_clusters(0.1 * k, [[2.0 + 0.015 * (k - 30), 0.0, 0.2]], radius_m=0.3) for k in range(30, 60)]
-    last = run(frames)[-1]
-    seen = last.cluster_id != NO_ID
-    assert last.is_static[seen].tolist() == [False]
-    assert last.state[seen, 3] == pytest.approx([0.15], abs=0.05)
+def test_what_stays_small_was_taken_for_larger_than_it_is(make_clusters: Make) -> None:
+    """A cluster of 0.45 m stands, and is one of 0.28 m at its side from then on: no fading takes that long."""
+    rng = np.random.default_rng(0)
+
+    def seen(y: float) -> FloatArray:
+        return np.column_stack([2.0 + rng.normal(0.0, 0.03, 1), y + rng.normal(0.0, 0.03, 1), [0.2]])
+
+    frames = [make_clusters(0.1 * k, seen(0.0), radius_m=0.45) for k in range(30)]
+    frames += [make_clusters(0.1 * k, seen(0.12), radius_m=0.28) for k in range(30, 60)]
+    history = run(frames)
+    assert [tracks.track_id.tolist() for tracks in history[::10]] == [[0]] * 6
+    assert history[33].state[0, 1] == pytest.approx(0.0, abs=0.03)
+    assert history[59].state[0, 1] == pytest.approx(0.12, abs=0.05)
 
 
 def test_uncertainty_grows_while_coasting(make_clusters: Make) -> None:
