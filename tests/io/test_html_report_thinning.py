@@ -56,5 +56,6 @@ def test_a_straight_path_keeps_its_ends_only() -> None:
 
 def _distance(point: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
     leg = b - a
-    share = 0.0 if not leg.any() else float(np.clip((point - a) @ leg / (leg @ leg), 0, 1))
+    squared = float(leg @ leg)
+    share = float(np.clip((point - a) @ leg / squared, 0, 1)) if squared > 0.0 else 0.0
     return float(np.hypot(*(point - a - share * leg)))

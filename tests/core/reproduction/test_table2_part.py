@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from adcbf_cli.core.config import Config
+from adcbf_cli.core.config import CLOSED_LOOP
 from adcbf_cli.core.reproduction import load_part, table2
 from adcbf_cli.core.reproduction.drives import PLANNERS
 from adcbf_cli.core.reproduction.table2_claims import CLAIMS, HOLDS, NOT, OPEN, PAPER, in_all, verdict
@@ -31,7 +31,7 @@ def test_every_planner_drives_every_scene_at_the_defaults():
     tasks = table2.tasks((7, 9))
     assert list(tasks) == [f"{planner}-{seed}" for seed in (7, 9) for planner in PLANNERS]
     task = tasks["mpc-cbf-9"]
-    assert (task.seed, task.planner, task.config, task.knowledge) == (9, "mpc-cbf", Config(), "perception")
+    assert (task.seed, task.planner, task.config, task.knowledge) == (9, "mpc-cbf", CLOSED_LOOP, "perception")
     assert "35.869" in task.text
 
 
