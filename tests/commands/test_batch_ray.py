@@ -129,14 +129,15 @@ def test_tasks_run_at_the_same_time_in_other_processes_and_dead_ones_are_told(tm
 
 def test_ray_reports_nothing_home(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("RAY_USAGE_STATS_ENABLED", raising=False)
-    ray = batch_engines.load_ray()
+    ray, earlier = batch_engines.load_ray(), descendants()
     with batch_engines._connected(None, 1):
         assert ray.get(ray.remote(os.getenv).remote("RAY_USAGE_STATS_ENABLED")) == "0"
-        assert environments_of_ray() == {"0"}, "of the cluster's own processes too, which would do the reporting"
+        told = environments_of_ray(descendants() - earlier)
+    assert told == {"0"}, "of the cluster's own processes too, which would do the reporting"
 
 
-def environments_of_ray() -> set[str | None]:
-    """What the processes that this one started, and those that they started, have been told."""
+def descendants() -> set[int]:
+    """The processes that this one started, and those that they started."""
     parents: dict[int, int] = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):
@@ -144,8 +145,13 @@ def environments_of_ray() -> set[str | None]:
     mine = {os.getpid()}
     while more := {pid for pid, parent in parents.items() if parent in mine} - mine:
         mine |= more
+    return mine - {os.getpid()}
+
+
+def environments_of_ray(processes: set[int]) -> set[str | None]:
+    """What those of Ray among these have been told."""
     found = set()
-    for pid in mine - {os.getpid()}:
+    for pid in processes:
         with suppress(OSError):
             variables = Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
             if any(variable.startswith(b"RAY_") for variable in variables):
