@@ -15,8 +15,8 @@ from pathlib import Path
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
-from mcap.reader import make_reader
-from mcap.writer import Writer
+
+from tests.commands.short_logs import write_short_log
 
 TABLES = ("frames", "clusters", "tracks", "predictions")
 RANGE = ("--range", "12")
@@ -38,23 +38,7 @@ SHORT_SCANS = 50
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The sample log's first five seconds, in small chunks: most tests need no more."""
-    path = tmp_path_factory.mktemp("log") / "short.mcap"
-    with (SAMPLE / "sample.mcap").open("rb") as source, path.open("wb") as target:
-        writer = Writer(target, chunk_size=100_000)
-        writer.start("ros2")
-        channels: dict[int, int] = {}
-        scans = 0
-        for schema, channel, message in make_reader(source).iter_messages():
-            scans += channel.topic == "/points"
-            if scans > SHORT_SCANS:
-                break
-            if channel.id not in channels:
-                assert schema is not None
-                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, schema_id)
-            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
-        writer.finish()
-    return path
+    return write_short_log(tmp_path_factory.mktemp("log") / "short.mcap", SHORT_SCANS)
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from tests.io.viz.viz_runs import adcbf, cut_sample, rows
+from tests.commands.short_logs import write_short_log
+from tests.io.viz.viz_runs import adcbf, rows
 
 ALL = ("--viz", "foxglove", "--viz", "ros2", "--viz", "rrd")
 FILES = ("viz.foxglove.mcap", "viz.foxglove-layout.json", "viz.ros2.mcap", "viz.rviz", "viz.rrd")
@@ -19,7 +20,7 @@ FILES = ("viz.foxglove.mcap", "viz.foxglove-layout.json", "viz.ros2.mcap", "viz.
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return cut_sample(tmp_path_factory.mktemp("log") / "short.mcap", scans=12)
+    return write_short_log(tmp_path_factory.mktemp("log") / "short.mcap", scans=12)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.io.viz.viz_runs import SAMPLE, adcbf, cut_sample
+from tests.commands.short_logs import write_short_log
+from tests.io.viz.viz_runs import SAMPLE, adcbf
 
 SCANS = 40
 PLANNERS = ("-p", "pure-pursuit", "-p", "dwa")
@@ -15,7 +16,7 @@ PLANNERS = ("-p", "pure-pursuit", "-p", "dwa")
 @pytest.fixture(scope="session")
 def viz_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Four seconds of the sample log, driven through by two planners from two starts, and planned along by one."""
-    log = cut_sample(tmp_path_factory.mktemp("log") / "short.mcap", SCANS)
+    log = write_short_log(tmp_path_factory.mktemp("log") / "short.mcap", SCANS)
     run = tmp_path_factory.mktemp("run") / "short.adcbf"
     for command in (
         ("plan", log, "-o", run, "--range", "12", "-p", "dwa"),

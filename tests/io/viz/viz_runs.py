@@ -11,8 +11,6 @@ from typing import Any
 from unittest.mock import patch
 
 import pyarrow.parquet as pq
-from mcap.reader import make_reader
-from mcap.writer import Writer
 
 SAMPLE = Path(__file__).resolve().parents[3] / "sample_data"
 
@@ -28,25 +26,6 @@ def adcbf(*arguments: str | Path) -> tuple[int, str, str]:
         except SystemExit as left:
             return int(left.code or 0), out.getvalue(), err.getvalue()
     return 0, out.getvalue(), err.getvalue()
-
-
-def cut_sample(path: Path, scans: int) -> Path:
-    """The sample log's first scans."""
-    with (SAMPLE / "sample.mcap").open("rb") as source, path.open("wb") as target:
-        writer = Writer(target)
-        writer.start("ros2")
-        channels: dict[int, int] = {}
-        for schema, channel, message in make_reader(source).iter_messages():
-            scans -= channel.topic == "/points"
-            if scans < 0:
-                break
-            if channel.id not in channels:
-                assert schema is not None
-                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, schema_id)
-            writer.add_message(channels[channel.id], message.log_time, message.data, message.publish_time)
-        writer.finish()
-    return path
 
 
 Rows = list[dict[str, Any]]
