@@ -27,9 +27,9 @@ def hold_structures(bank: TrackBank) -> None:
 
 
 def hold_faint(bank: TrackBank, clusters: Clusters, now_s: float, states: FloatArray, covariances: FloatArray) -> None:
-    """Tracks that stand, and of which only a small part is seen where they are, stay for FADING_S as they were before
-    this step, at (n, m, d), (n, m, d, d). What sinks below the lowest beam, or goes out of sight behind something,
-    seems to move while less and less of it is seen."""
+    """Tracks that stand, end below the sensor and are seen only in small part where they are, stay for FADING_S as they
+    were before this step, at (n, m, d), (n, m, d, d). What sinks below the lowest beam seems to move while less and
+    less of it is seen; what rises above the sensor cannot sink there, and a person whose side is seen may walk."""
     seen = np.flatnonzero(bank.cluster_id != NO_ID)
     if not len(seen):
         return
@@ -39,7 +39,8 @@ def hold_faint(bank: TrackBank, clusters: Clusters, now_s: float, states: FloatA
     part_m, whole_m = clusters.radius_m[column], bank.radius_m[seen]
     partial = (part_m < PARTIAL * whole_m) & (off + part_m <= whole_m + CONTAINED_M)
     bank.whole_s[seen[~partial]] = now_s
-    held = seen[partial & bank.is_static[seen] & (now_s - bank.whole_s[seen] <= FADING_S)]
+    is_low = clusters.centre_m[column, 2] + 0.5 * bank.height_m[seen] < clusters.world_from_sensor[2, 3]
+    held = seen[partial & is_low & bank.is_static[seen] & (now_s - bank.whole_s[seen] <= FADING_S)]
     bank.states[held] = states[held]
     bank.covariances[held] = covariances[held]
     _at_rest(bank, held)

@@ -7,6 +7,10 @@ the drift of a seen surface's centre under a turning viewpoint. The last is the 
 ego: when the line of sight to an obstacle turns by an angle, the visible side turns with it, and
 its centre may wander by up to the obstacle's radius times that angle.
 
+What creeps can hide behind these for as long as the time looked at is short. So twice that time is
+looked at too: what went steadily farther than the least distance of the shorter one, error and drift
+allowed for, moves.
+
 Odometry drifts too, and everything that stands still then moves alike. What most tracks do together
 is taken out first, where the ego moves and it is small beside the ego's own speed.
 """
@@ -32,6 +36,10 @@ SLOWEST_CLEAR_MOTION = 3.0
 RECENT_SHARE = 0.35
 """The newest share of the window, looked at alone: an obstacle that starts is noticed sooner there."""
 RECENT_MIN_SPEED_FACTOR = 3.0
+LONG_FACTOR = 2.0
+"""Times the window: looked at for what creeps."""
+STEADY_SHARE = 0.5
+"""What creeps goes on in the window with at least this share of its velocity over the long one, or it has stopped."""
 SHORTEST_SHARE = 1 / 3
 """Of the window, that sightings must span before a track can be said to stand still."""
 MIN_TRACKS_FOR_DRIFT = 8
@@ -131,7 +139,8 @@ def still(
 ) -> BoolArray:
     """(n,) which tracks stand still now, given which did a frame ago."""
     least = config.static_speed_mps
-    whole, recent = _fit(sightings, now_s, np.array([1.0, RECENT_SHARE]) * config.static_window_s)
+    windows_s = np.array([1.0, RECENT_SHARE, LONG_FACTOR]) * config.static_window_s
+    whole, recent, long = _fit(sightings, now_s, windows_s)
     known = (whole.count >= MIN_SIGHTINGS) & (whole.span_s >= SHORTEST_SHARE * config.static_window_s)
     drift = common_drift(whole, known)
     speed = np.linalg.norm(whole.velocity_mps - drift, axis=1)
@@ -140,10 +149,22 @@ def still(
     recent_excess = recent_speed / _feigned_speed(recent, radius_m, RECENT_MIN_SPEED_FACTOR * least)
     starts = (whole.count >= MIN_SIGHTINGS) & (excess > 1.0)
     starts |= (recent.count >= MIN_SIGHTINGS) & (recent_excess > 1.0)
+    starts |= _creeps(whole.velocity_mps - drift, long, drift, radius_m, config)
     slow = speed <= SLOWEST_CLEAR_MOTION * least + _viewpoint_drift(whole, radius_m)
     stops = known & slow & (excess < STAY_MOVING_FRACTION) & ~starts
     result: BoolArray = np.where(was_still, ~starts, stops)
     return result
+
+
+def _creeps(
+    velocity_mps: FloatArray, long: Slope, drift: FloatArray, radius_m: FloatArray, config: TrackingConfig
+) -> BoolArray:
+    """(n,) which tracks went on steadily over the long window. velocity_mps: (n, 2) over the window."""
+    lasting = long.velocity_mps - drift
+    speed = np.linalg.norm(lasting, axis=1)
+    steady = (velocity_mps * lasting).sum(axis=1) >= STEADY_SHARE * speed**2
+    seen_long = long.span_s > config.static_window_s
+    return seen_long & steady & (speed > _feigned_speed(long, radius_m, config.static_speed_mps / LONG_FACTOR))
 
 
 def common_drift(slope: Slope, known: BoolArray) -> FloatArray:
@@ -168,11 +189,15 @@ def _feigned_speed(slope: Slope, radius_m: FloatArray, least_speed_mps: float) -
 
 
 def _viewpoint_turn(sightings: Sightings, rows: IntArray, first: IntArray, last: IntArray) -> FloatArray:
-    """How far the line of sight turned, plus the relative change of range, between two sightings."""
-    start = sightings.position_m[rows, first] - sightings.sensor_m[rows, first]
-    end = sightings.position_m[rows, last] - sightings.sensor_m[rows, last]
+    """How far the line of sight turned, plus the relative change of range, between two sightings; no more than the
+    sensor's own way at that distance makes of both. What comes by itself is not excused by its coming."""
+    position, sensor = sightings.position_m, sightings.sensor_m
+    start, end = position[rows, first] - sensor[rows, first], position[rows, last] - sensor[rows, last]
     bearing = np.arctan2(end[..., 1], end[..., 0]) - np.arctan2(start[..., 1], start[..., 0])
     near = np.maximum(np.hypot(start[..., 0], start[..., 1]), 0.1)
     far = np.maximum(np.hypot(end[..., 0], end[..., 1]), 0.1)
-    turn: FloatArray = np.abs(wrap_angle(bearing)) + np.abs(np.log(far / near))
-    return np.minimum(turn, 2.0)
+    seen = np.abs(wrap_angle(bearing)) + np.abs(np.log(far / near))
+    way = sensor[rows, last] - sensor[rows, first]
+    own = np.sqrt(2.0) * np.hypot(way[..., 0], way[..., 1]) / np.minimum(near, far)
+    turn: FloatArray = np.minimum(np.minimum(seen, own), 2.0)
+    return turn

@@ -76,10 +76,11 @@ class Tracker:
             if not taken.all():
                 bank.append(self._born(kalman, clusters, ~taken))
             sensor_m = clusters.world_from_sensor[:2, 3]
-            bank.sightings.add(bank.cluster_id != NO_ID, self._now_s, bank.seen_at_m, sensor_m)
-            bank.is_static = bank.is_structure | still(
-                bank.is_static, bank.sightings, self._now_s, bank.radius_m, self._config
-            )
+            seen = bank.cluster_id != NO_ID
+            bank.sightings.add(seen, self._now_s, bank.seen_at_m, sensor_m)
+            # What is not seen stays what it was: in the end its last sightings, the least certain ones, would decide.
+            stands = still(bank.is_static, bank.sightings, self._now_s, bank.radius_m, self._config)
+            bank.is_static = bank.is_structure | np.where(seen, stands, bank.is_static)
             tracks = self._record(bank, clusters)
             bank.keep(bank.status != TrackStatus.ENDED)
             return tracks

@@ -18,6 +18,7 @@ def build_clusters(
     *,
     world_from_sensor: np.ndarray | None = None,
     planar: bool = False,
+    height_m: float = 1.0,
     split_from: object = None,
     index: int = 0,
 ) -> Clusters:
@@ -41,7 +42,7 @@ def build_clusters(
         centre_m=centres,
         centre_sensor_m=transform_points(invert(pose), centres),
         radius_m=radius,
-        height_m=np.full(n, 1.0),
+        height_m=np.full(n, height_m),
         length_m=2 * radius,
         width_m=2 * radius,
         yaw_rad=np.zeros(n),

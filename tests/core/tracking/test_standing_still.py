@@ -96,6 +96,27 @@ def test_a_visible_side_that_turns_with_the_viewpoint_is_still() -> None:
     assert not is_still(seen, radius=0.1, sensor=sensor)
 
 
+def test_what_comes_by_itself_is_not_excused_by_its_coming() -> None:
+    """Towards a sensor that stands the line of sight shortens and turns, but by the obstacle's own way."""
+    path = walk((-0.25, 0.1), start=(0.9, 0.2))
+    assert not is_still(path, radius=0.5, was=True)
+    assert is_still(walk((0.0, 0.0), start=(0.9, 0.2)), radius=0.5, was=True)
+
+
+def test_what_creeps_is_found_out_in_time() -> None:
+    """Beside an ego that passes, 0.15 m/s are within what 1.5 s may feign, and beyond what 3 s may."""
+    sensor = np.column_stack([np.linspace(-1.5, 0.0, 31), np.zeros(31)])
+    creeping = walk((0.15, 0.0), start=(1.0, 1.5), k=31)
+    assert is_still(creeping[-16:], radius=0.35, was=True, sensor=sensor[-16:])
+    assert not is_still(creeping, radius=0.35, was=True, sensor=sensor)
+
+
+def test_what_crept_and_stopped_stands() -> None:
+    """The long window still holds the way that was gone; nothing goes on."""
+    path = np.concatenate([walk((0.25, 0.0), k=15), np.full((16, 2), walk((0.25, 0.0), k=15)[-1])])
+    assert is_still(path, was=False)
+
+
 def test_drift_that_most_tracks_share_is_the_odometrys() -> None:
     """Twelve poles drift at 0.4 m/s under an ego at 5 m/s, one person walks through them."""
     rng = np.random.default_rng(4)

@@ -90,9 +90,13 @@ def test_coasting_bridges_an_occlusion(make_clusters: Make) -> None:
 
 def test_what_stands_and_fades_away_stays_where_it_was(make_clusters: Make) -> None:
     """A rock that sinks below the lowest beam: less and less of it is seen, ever farther to one side, then nothing."""
-    frames = [make_clusters(0.1 * k, [[2.0, 0.0, 0.2]], radius_m=0.35) for k in range(30)]
+
+    def rock(time_s: float, y: float, radius_m: float) -> Clusters:
+        return make_clusters(time_s, [[2.0, y, -0.3]], radius_m=radius_m, height_m=0.4)
+
+    frames = [rock(0.1 * k, 0.0, 0.35) for k in range(30)]
     fading = enumerate(zip((0.08, 0.16, 0.3), (0.3, 0.26, 0.15), strict=True), start=30)
-    frames += [make_clusters(0.1 * k, [[2.0, -shift, 0.2]], radius_m=radius) for k, (shift, radius) in fading]
+    frames += [rock(0.1 * k, -shift, radius) for k, (shift, radius) in fading]
     frames += [make_clusters(0.1 * k, np.empty((0, 3))) for k in range(33, 40)]
     history = run(frames)
     seen, unseen = history[32], history[39]
@@ -103,19 +107,41 @@ def test_what_stands_and_fades_away_stays_where_it_was(make_clusters: Make) -> N
     check_sound(unseen)
 
 
+def test_what_stood_still_stands_while_it_is_not_seen(make_clusters: Make) -> None:
+    """The last sightings of a rock drift; what they would prove once older ones are forgotten, they did not before."""
+    rng = np.random.default_rng(3)
+    x = np.concatenate([rng.normal(2.0, 0.02, 30), [1.92, 1.96, 2.0, 2.04, 2.08]])
+    frames = [make_clusters(0.1 * k, [[place, 0.0, 0.2]], radius_m=0.38) for k, place in enumerate(x)]
+    frames += [make_clusters(0.1 * k, np.zeros((0, 3))) for k in range(35, 44)]
+    history = run(frames)
+    assert [tracks.is_static.tolist() for tracks in history[29:]] == [[True]] * 15
+
+
 def test_what_stays_small_was_taken_for_larger_than_it_is(make_clusters: Make) -> None:
     """A cluster of 0.45 m stands, and is one of 0.28 m at its side from then on: no fading takes that long."""
     rng = np.random.default_rng(0)
 
     def seen(y: float) -> FloatArray:
-        return np.column_stack([2.0 + rng.normal(0.0, 0.03, 1), y + rng.normal(0.0, 0.03, 1), [0.2]])
+        return np.column_stack([2.0 + rng.normal(0.0, 0.03, 1), y + rng.normal(0.0, 0.03, 1), [-0.3]])
 
-    frames = [make_clusters(0.1 * k, seen(0.0), radius_m=0.45) for k in range(30)]
-    frames += [make_clusters(0.1 * k, seen(0.12), radius_m=0.28) for k in range(30, 60)]
+    frames = [make_clusters(0.1 * k, seen(0.0), radius_m=0.45, height_m=0.4) for k in range(30)]
+    frames += [make_clusters(0.1 * k, seen(0.12), radius_m=0.28, height_m=0.4) for k in range(30, 60)]
     history = run(frames)
     assert [tracks.track_id.tolist() for tracks in history[::10]] == [[0]] * 6
     assert history[33].state[0, 1] == pytest.approx(0.0, abs=0.03)
     assert history[59].state[0, 1] == pytest.approx(0.12, abs=0.05)
+
+
+@pytest.mark.parametrize(("top_m", "held"), [(-0.1, True), (0.8, False)])
+def test_only_what_ends_below_the_sensor_can_sink(make_clusters: Make, top_m: float, held: bool) -> None:
+    """What rises above it does not sink below its lowest beam, however narrow it is seen: it may walk."""
+
+    def seen(k: int, x: float, radius_m: float) -> Clusters:
+        return make_clusters(0.1 * k, [[x, 0.0, top_m - 0.2]], radius_m=radius_m, height_m=0.4)
+
+    frames = [seen(k, 3.0, 0.4) for k in range(30)]
+    frames += [seen(k, 3.0 - 0.03 * (k - 29), 0.25) for k in range(30, 34)]
+    assert (run(frames)[-1].state[0, 3] == 0.0) == held
 
 
 def test_uncertainty_grows_while_coasting(make_clusters: Make) -> None:
