@@ -54,14 +54,14 @@ def compare(
     from adcbf_cli.core.evaluation import run_comparison_text as text
     from adcbf_cli.core.evaluation.change_limits import exceeded, parse_change_limit
     from adcbf_cli.core.evaluation.run_comparison import compare_runs
-    from adcbf_cli.io.atomic import check_target
+    from adcbf_cli.io.report import check_page
     from adcbf_cli.io.score_blocks import read_score_blocks
 
     limits = [parse_change_limit(word) for word in fail_on or []]
     if json_output and markdown == STDOUT:
         raise UsageError("--json and --markdown - both want stdout; write one of them to a file")
     if markdown not in (None, STDOUT):
-        check_target(Path(str(markdown)))
+        check_page(Path(str(markdown)), ".md")
     base, *others = _read(runs)
     _check_metrics(limits, [base, *others])
     blocks = [read_score_blocks(path) for path in runs]

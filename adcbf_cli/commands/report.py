@@ -23,14 +23,14 @@ def report(
     ],
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Page to write; default: report.html in the (first) run."),
+        typer.Option("--output", "-o", metavar="FILE.html", help="Page to write; default: report.html in the run."),
     ] = None,
     points: Annotated[
         bool | None,
         typer.Option("--points/--no-points", help="Show points; default: if stored, or the log is there and short."),
     ] = None,
     figures: Annotated[
-        bool, typer.Option("--figures/--no-figures", help="Also draw SVG and PNG into figures/ beside the page.")
+        bool, typer.Option("--figures/--no-figures", help="Also draw SVG and PNG, into a folder beside the page.")
     ] = True,
     json_output: Json = False,
 ) -> None:
@@ -39,7 +39,8 @@ def report(
     What was run and on what, scores, a top view that can be scrubbed through time, tracks and predictions, clearance,
     barrier and gamma, planners with intervals, solve times, calibration, and every warning. Several runs stand side by
     side. Only what the run folders hold is shown; the page names the command that would make what is missing.
-    Figures that a paper can use are drawn into `figures/` beside the page (of several runs: `figures/<run>/`).
+    Figures that a paper can use are drawn into `figures/` in the run folder; with -o page.html, into `page.figures/`
+    beside it. Of several runs, each has a folder of its own in there.
 
     Examples:
 
@@ -49,19 +50,35 @@ def report(
 
         adcbf report drive.adcbf --no-points --no-figures --json
     """
-    from contextlib import ExitStack
-
-    from adcbf_cli.commands.terminal import print_json, progress
-    from adcbf_cli.io.atomic import check_target, write_text_atomically
-    from adcbf_cli.io.html_report.figures import write_figures
-    from adcbf_cli.io.html_report.gather import Wishes, gather_run
-    from adcbf_cli.io.html_report.page import render
-    from adcbf_cli.io.report import FIGURE_FOLDER, PAGE
-    from adcbf_cli.io.run_folder import RunFolder
+    from adcbf_cli.commands.terminal import print_json
+    from adcbf_cli.io.report import PAGE, check_page, figure_folder
 
     _check_runs(runs)
     target = output or runs[0] / PAGE
-    check_target(target)
+    check_page(target, ".html")
+    pages, drawn = _write(runs, target, points, figure_folder(target, runs[0]) if figures else None)
+    if json_output:
+        print_json(_document(target, pages, drawn))
+    else:
+        _tell(target, pages, drawn)
+    if any(record.losses for page in pages for record in page.manifest.stages.values()):
+        raise typer.Exit(EXIT_DATA_LOST)
+
+
+def _write(
+    runs: list[Path], target: Path, points: bool | None, figures: Path | None
+) -> tuple[list[RunPage], list[Path]]:
+    """Writes the page, and into the folder `figures`, if any, its figures. Returns the runs as they are on it, and the
+    figures' files."""
+    from contextlib import ExitStack
+
+    from adcbf_cli.commands.terminal import progress
+    from adcbf_cli.io.atomic import write_text_atomically
+    from adcbf_cli.io.html_report.figures import write_figures
+    from adcbf_cli.io.html_report.gather import Wishes, gather_run
+    from adcbf_cli.io.html_report.page import render
+    from adcbf_cli.io.run_folder import RunFolder
+
     wishes = Wishes(points, len(runs))
     drawn: list[Path] = []
     with ExitStack() as stack:
@@ -70,15 +87,11 @@ def report(
                 stack.enter_context(RunFolder(run).locked())
         pages = [gather_run(run, name, wishes, progress) for run, name in zip(runs, _names(runs), strict=True)]
         write_text_atomically(target, render(pages))
-        for page in pages if figures else ():
-            own = "" if len(pages) == 1 else page.name.replace(os.sep, "_")
-            drawn += write_figures(page, target.parent / FIGURE_FOLDER / own)
-    if json_output:
-        print_json(_document(target, pages, drawn))
-    else:
-        _tell(target, pages, drawn)
-    if any(record.losses for page in pages for record in page.manifest.stages.values()):
-        raise typer.Exit(EXIT_DATA_LOST)
+        if figures is not None:
+            for page in pages:
+                own = "" if len(pages) == 1 else page.name.replace(os.sep, "_")
+                drawn += write_figures(page, figures / own)
+    return pages, drawn
 
 
 def _names(runs: list[Path]) -> list[str]:
@@ -89,14 +102,13 @@ def _names(runs: list[Path]) -> list[str]:
 
 def _tell(target: Path, pages: list[RunPage], drawn: list[Path]) -> None:
     from adcbf_cli.commands.terminal import say
-    from adcbf_cli.io.report import FIGURE_FOLDER
 
     print(target)
     for page in pages:
         for section, (reason, command) in page.missing.items():
             say(f"{page.name}: no {section}: {reason}" + (f"; to add them: {command}" if command else ""))
     if drawn:
-        say(f"{len(drawn)} figures in {target.parent / FIGURE_FOLDER}")
+        say(f"{len(drawn)} figures in {os.path.commonpath([path.parent for path in drawn])}")
     say(f"{target.stat().st_size / 1e6:.1f} MB; open it in any browser, it needs no network")
 
 

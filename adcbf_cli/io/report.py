@@ -7,8 +7,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from adcbf_cli.core.errors import UsageError
 from adcbf_cli.core.evaluation.report import Metric, Report
-from adcbf_cli.io.atomic import write_text_atomically
+from adcbf_cli.io.atomic import check_target, write_text_atomically
 
 JSON_NAME = "report.json"
 MARKDOWN_NAME = "report.md"
@@ -17,7 +18,7 @@ PAGE = "report.html"
 FIGURE_FOLDER = "figures"
 FIGURES = ("top_view", "margins", "solve_times", "gamma_map", "calibration", "planners")
 FIGURE_FILES = tuple(f"{FIGURE_FOLDER}/{name}.{kind}" for name in FIGURES for kind in ("png", "svg"))
-"""What `adcbf report` leaves in a run folder."""
+"""What `adcbf report` leaves in a run folder; of several runs, each has a folder of its own in FIGURE_FOLDER."""
 
 _SECTIONS = {
     "clustering": "Cluster centres against truth",
@@ -39,6 +40,34 @@ _OBJECT_COLUMNS = (
     "track_rmse_sight_corrected_m", "bias_along_m", "bias_across_m", "bias_body_x_m", "bias_body_y_m",
     "predictions", "last_step_error_m",
 )  # fmt: skip
+
+
+def check_page(target: Path, suffix: str) -> None:
+    """UsageError where a page of this kind could not be written here, or is to be called something else: a slip of the
+    hand must not put it in the place of a log or a manifest."""
+    if target.suffix.lower() != suffix:
+        raise UsageError(f"{target}: a page's name ends in {suffix}")
+    check_target(target)
+
+
+def figure_folder(page: Path, run: Path) -> Path:
+    """Where the figures of a page lie: a run folder's own in FIGURE_FOLDER, any other's in a folder that is called like
+    the page, which is nobody else's."""
+    own = page.resolve() == (run / PAGE).resolve()
+    return page.parent / (FIGURE_FOLDER if own else f"{page.stem}.{FIGURE_FOLDER}")
+
+
+def remove_page(run: Path) -> None:
+    """Removes the page and the figures that `adcbf report` left in a run folder."""
+    (run / PAGE).unlink(missing_ok=True)
+    figures = run / FIGURE_FOLDER
+    if not figures.is_dir() or figures.is_symlink():
+        return
+    for folder in (*(path for path in figures.iterdir() if path.is_dir() and not path.is_symlink()), figures):
+        for name in FIGURE_FILES:
+            (folder / Path(name).name).unlink(missing_ok=True)
+        if not any(folder.iterdir()):
+            folder.rmdir()
 
 
 def report_document(report: Report, provenance: dict[str, Any]) -> dict[str, Any]:

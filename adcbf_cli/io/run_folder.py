@@ -29,6 +29,7 @@ from adcbf_cli.io.atomic import remove_leftovers, write_text_atomically
 from adcbf_cli.io.log_base import printable
 from adcbf_cli.io.parquet import SCHEMA_VERSION, table_metadata
 from adcbf_cli.io.plugin_versions import stage_plugins
+from adcbf_cli.io.report import remove_page
 from adcbf_cli.io.settings import first_problem
 from adcbf_cli.io.viz import VIEW_FILES
 
@@ -160,8 +161,8 @@ class RunFolder:
         return keys.pop() if len(keys) == 1 else None
 
     def remove_driving(self, kind: str) -> None:
-        """Removes the files of one kind of driving, what a killed command left beside them, and the logs for viewers,
-        which show them."""
+        """Removes the files of one kind of driving, what a killed command left beside them, and the page, figures and
+        logs for viewers that show them."""
         folder = self.path / DRIVING[kind]
         if folder.is_dir():
             remove_leftovers(folder)
@@ -169,6 +170,7 @@ class RunFolder:
                 (folder / name).unlink(missing_ok=True)
         for name in chain.from_iterable(VIEW_FILES.values()):
             (self.path / name).unlink(missing_ok=True)
+        remove_page(self.path)
 
     def manifest(self) -> Manifest:
         """What the folder says of itself; AdcbfError if it says nothing intelligible."""

@@ -121,6 +121,7 @@ def test_blocks_of_another_report_are_not_used(folder: Path, tmp_path: Path) -> 
         (["main", "branch", "--fail-on", "tracking.rmse_z_m>+1%"], 2, "did you mean tracking.rmse_"),
         (["main", "branch", "--json", "--markdown", "-"], 2, "both want stdout"),
         (["main", "branch", "--markdown", "nowhere/page.md"], 2, "there is no folder nowhere"),
+        (["main", "branch", "--markdown", "main/run.json"], 2, "main/run.json: a page's name ends in .md"),
     ],
 )
 def test_what_cannot_be_compared_is_told_in_one_line(

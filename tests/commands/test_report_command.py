@@ -213,17 +213,23 @@ def test_two_runs_stand_side_by_side(driven_run: Path, tmp_path: Path) -> None:
     assert len([1 for tag, a in found.elements if tag == "figure" and a.get("class") == "scene"]) == 2
 
 
-def test_figures_lie_beside_the_page(driven_run: Path, tmp_path: Path) -> None:
+def test_figures_lie_in_a_folder_of_the_pages_own(driven_run: Path, tmp_path: Path) -> None:
+    """`figures/` beside a page may be a paper's."""
+    papers = [tmp_path / "figures" / name for name in ("margins.svg", "planners.png")]
+    papers[0].parent.mkdir()
+    for path in papers:
+        path.write_text("a paper's own")
     done = run_here("report", driven_run, "-o", tmp_path / "people.html", "--json")
     assert done.returncode == 0, done.stderr
     drawn = [Path(path) for path in json.loads(done.stdout)["figures"]]
     names = {"top_view", "margins", "solve_times", "gamma_map", "calibration", "planners"}
     assert {(path.parent, path.stem, path.suffix) for path in drawn} == {
-        (tmp_path / "figures", name, suffix) for name in names for suffix in (".svg", ".png")
+        (tmp_path / "people.figures", name, suffix) for name in names for suffix in (".svg", ".png")
     }
     for path in drawn:
         head = path.read_bytes()[:8]
         assert head == b"\x89PNG\r\n\x1a\n" if path.suffix == ".png" else head.startswith(b"<?xml")
+    assert {path.read_text() for path in papers} == {"a paper's own"}
 
 
 def test_figures_without_evidence_are_not_drawn_and_old_ones_leave(driven_run: Path, tmp_path: Path) -> None:
@@ -240,9 +246,26 @@ def test_figures_without_evidence_are_not_drawn_and_old_ones_leave(driven_run: P
 def test_a_page_of_outdated_tables_does_not_stay(driven_run: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy.adcbf"
     shutil.copytree(driven_run, copy)
-    assert run_here("report", copy, "--no-figures").returncode == 0
+    other = tmp_path / "other.adcbf"
+    shutil.copytree(driven_run, other)
+    assert run_here("report", copy, other).returncode == 0
+    assert (copy / "figures" / "other.adcbf" / "top_view.svg").exists()
     assert run_here("track", copy, "--set", "tracking.confirm_hits=4").returncode == 0
     assert not (copy / "report.html").exists()
+    assert not (copy / "figures").exists()
+
+
+@pytest.mark.parametrize("command", [["evaluate"], ["replay", "--start", "0,0", "--goal", "6,0", "-p", "pure-pursuit"]])
+def test_a_page_of_other_results_does_not_stay(command: list[str], driven_run: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy.adcbf"
+    shutil.copytree(driven_run, copy)
+    assert run_here("report", copy).returncode == 0
+    own = copy / "figures" / "mine.svg"
+    own.write_text("kept by hand")
+    done = run_here(command[0], copy, *command[1:])
+    assert done.returncode == 0, done.stderr
+    assert not (copy / "report.html").exists()
+    assert list((copy / "figures").iterdir()) == [own]
 
 
 def test_a_run_that_is_too_large_is_thinned_and_says_so(driven_run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -292,6 +315,8 @@ def test_runs_of_the_same_name_are_told_apart(driven_run: Path, tmp_path: Path) 
         (["nowhere.adcbf"], "not a run folder"),
         (["RUN", "RUN"], "given twice"),
         (["RUN", "-o", "missing/page.html"], "there is no folder"),
+        (["RUN", "-o", "run.json"], "run.json: a page's name ends in .html"),
+        (["RUN", "-o", "drive.mcap"], "drive.mcap: a page's name ends in .html"),
     ],
 )
 def test_bad_input_is_one_line(arguments: list[str], says: str, driven_run: Path) -> None:
