@@ -64,8 +64,9 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]
         table.add_column(column, justify="left" if i == 0 else "right", overflow="fold")
     for row in rows:
         table.add_row(*row)
-    # Piped output keeps its full width: folding at 80 columns would break scripts that read it.
-    Console(width=None if sys.stdout.isatty() else 240).print(table)
+    # Piped output keeps its full width: folding at 80 columns would break scripts that read it. Names come from users'
+    # files: a class may be called [/b], and is to be shown so.
+    Console(width=None if sys.stdout.isatty() else 240, markup=False, emoji=False).print(table)
 
 
 def progress(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
@@ -81,6 +82,6 @@ def progress(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
         def render(self, task: Any) -> Text:
             return Text(f"{task.finished_speed or task.speed or 0:.1f} frames/s")
 
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Rate(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), Rate(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         yield from bar.track(items, total=total, description=what)

@@ -53,8 +53,7 @@ def write_viz(outcome: Outcome, names: Sequence[str] | None) -> None:
 
 def _log_for_points(outcome: Outcome) -> tuple[Path | None, str]:
     """The log, where it is still the one that the folder was made from; else why not ("" where it has no points)."""
-    from adcbf_cli.io.logs import log_files
-    from adcbf_cli.io.run_folder import identify_source
+    from adcbf_cli.io.run_folder import is_source
 
     source = outcome.manifest.source
     log = outcome.folder.path / source.path
@@ -63,6 +62,6 @@ def _log_for_points(outcome: Outcome) -> tuple[Path | None, str]:
     if not log.exists():
         return None, f"{log} is gone"
     just_read = "cluster" in outcome.computed
-    if not just_read and identify_source(source.path, log_files(log)).sha256 != source.sha256:
+    if not just_read and not is_source(log, source):
         return None, f"{log} has changed since the run folder was made"
     return log, ""

@@ -265,3 +265,13 @@ def identify_source(path: str, files: tuple[Path, ...]) -> Source:
         described.append(SourceFile(file.name, file.stat().st_size, digest))
     text = json.dumps([[f.name, f.sha256] for f in described])
     return Source(path, hashlib.sha256(text.encode()).hexdigest(), tuple(described))
+
+
+def is_source(log: Path, source: Source) -> bool:
+    """Whether what lies at this path is still the log `source`; False too where it is no log any more."""
+    from adcbf_cli.io.logs import log_files
+
+    try:
+        return identify_source(source.path, log_files(log)).sha256 == source.sha256
+    except (AdcbfError, OSError):
+        return False

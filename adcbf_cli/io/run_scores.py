@@ -6,6 +6,7 @@ What the drives score is taken from their own reports: report.json may have been
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -47,8 +48,8 @@ def read_scored_run(path: Path, name: str) -> ScoredRun:
     documents = [document for document in (report, *driving.values()) if document is not None]
     return ScoredRun(
         name=name,
-        version=str((table_metadata(folder.table("frames")) or {}).get("adcbf", "unknown")),
-        source_name=Path(manifest.source.path).name,
+        version=printable(str((table_metadata(folder.table("frames")) or {}).get("adcbf", "unknown"))),
+        source_name=printable(Path(manifest.source.path).name),
         source_sha256=manifest.source.sha256,
         truth=truth,
         settings=_settings(manifest),
@@ -68,7 +69,7 @@ def _document(path: Path) -> dict[str, Any] | None:
             text = path.read_text(encoding="utf-8")
         except FileNotFoundError:
             return None
-        found = json.loads(text, parse_constant=_refuse)
+        found = json.loads(text, parse_constant=_refuse, parse_float=_finite)
         if not isinstance(found, dict):
             raise TypeError("no mapping")
         return found
@@ -78,11 +79,19 @@ def _refuse(word: str) -> float:
     raise ValueError(f"{word} is not a number")
 
 
+def _finite(digits: str) -> float:
+    """What is too large for a float would be infinite, which no report holds."""
+    value = float(digits)
+    if not math.isfinite(value):
+        raise ValueError(f"{digits:.20} is too large")
+    return value
+
+
 @contextmanager
 def _unreadable(path: Path) -> Iterator[None]:
     try:
         yield
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError, OverflowError) as error:
         reason = printable((str(error) or type(error).__name__).splitlines()[0])[:120]
         raise AdcbfError(f"{path}: unreadable ({reason}); make it anew with `adcbf evaluate`") from None
 

@@ -117,6 +117,8 @@ def test_blocks_of_another_report_are_not_used(folder: Path, tmp_path: Path) -> 
         (["main", "nowhere"], 1, "nowhere: not a run folder"),
         (["main", "unscored"], 1, "adcbf evaluate unscored"),
         (["main", "broken"], 1, "broken/report.json: unreadable"),
+        (["main", "huge"], 1, "huge/report.json: unreadable"),
+        (["main", "endless"], 1, "endless/report.json: unreadable"),
         (["main", "branch", "--fail-on", "tracking.rmse_x_m>0.1"], 2, "a change with its sign"),
         (["main", "branch", "--fail-on", "tracking.rmse_z_m>+1%"], 2, "did you mean tracking.rmse_"),
         (["main", "branch", "--json", "--markdown", "-"], 2, "both want stdout"),
@@ -132,10 +134,12 @@ def test_what_cannot_be_compared_is_told_in_one_line(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    for name in ("unscored", "broken"):
+    for name in ("unscored", "broken", "huge", "endless"):
         (folder / name).mkdir(exist_ok=True)
         shutil.copy(folder / "main" / "run.json", folder / name)
-    (folder / "broken" / "report.json").write_text('{"metrics": {"a": {"value": NaN}}}')
+    score = '{"metrics": {"a": {"value": %s, "unit": "", "n": 1, "sample": "", "definition": ""}}}'
+    for name, value in (("broken", "NaN"), ("huge", "1" + 400 * "0"), ("endless", "1e999")):
+        (folder / name / "report.json").write_text(score % value)
     monkeypatch.chdir(folder)
     monkeypatch.setattr(sys, "argv", ["adcbf", "compare", *arguments])
     with pytest.raises(SystemExit) as stop:

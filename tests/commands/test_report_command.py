@@ -292,9 +292,16 @@ def test_points_from_the_log_are_those_that_would_be_stored(tmp_path: Path, make
         scenes.append(run.data["scene"]["shown"])
     assert scenes[0] == scenes[1]
     assert sum(len(frame.get("points", ())) for frame in scenes[0]) > 0
+    for what, says in ((None, "no longer where it was"), (b"no log", "has changed"), (b"", "has changed")):
+        log.unlink(missing_ok=True)
+        if what is not None:
+            log.write_bytes(what)
+        gone = gather.gather_run(read, "drive", gather.Wishes(), lambda items, *_: iter(items))
+        assert says in gone.missing["points"][0]
     log.unlink()
-    gone = gather.gather_run(read, "drive", gather.Wishes(), lambda items, *_: iter(items))
-    assert "no longer where it was" in gone.missing["points"][0]
+    log.mkdir()
+    emptied = gather.gather_run(read, "drive", gather.Wishes(), lambda items, *_: iter(items))
+    assert "has changed" in emptied.missing["points"][0]
 
 
 def test_runs_of_the_same_name_are_told_apart(driven_run: Path, tmp_path: Path) -> None:
@@ -337,6 +344,19 @@ def test_a_damaged_report_is_named(driven_run: Path, tmp_path: Path) -> None:
         assert "report.json" in done.stderr
         assert "adcbf evaluate" in done.stderr
         assert done.stderr.count("\n") == 1
+
+
+def test_an_interval_without_ends_is_none(driven_run: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy.adcbf"
+    shutil.copytree(driven_run, copy)
+    report = json.loads((copy / "report.json").read_text())
+    for metric in report["metrics"].values():
+        metric["interval_95"] = [None, None]
+    (copy / "report.json").write_text(json.dumps(report))
+    done = run_here("report", copy)
+    assert done.returncode == 0, done.stderr
+    points = Page(copy / "report.html").data["runs"][0]["calibration"]
+    assert {point["interval"] for point in points} == {None}
 
 
 def test_a_score_without_evidence_is_a_dash() -> None:

@@ -77,14 +77,19 @@ def test_an_earlier_stage_shows_what_the_folder_holds(log: Path, tmp_path: Path)
     assert "/predictions" not in topics(folder / "viz.foxglove.mcap")
 
 
-@pytest.mark.parametrize("loss", ["gone", "changed"])
+@pytest.mark.parametrize("loss", ["gone", "changed", "no log", "an empty folder"])
 def test_without_its_log_a_run_is_shown_without_points(loss: str, run: Path, tmp_path: Path) -> None:
     folder = copied(run, tmp_path)
     log = (folder / json.loads((folder / "run.json").read_text())["source"]["path"]).resolve()
     if loss == "gone":
         log.unlink()
-    else:
+    elif loss == "changed":
         log.write_bytes(log.read_bytes()[:-1])
+    elif loss == "no log":
+        log.write_bytes(b"nothing that a log begins with")
+    else:
+        log.unlink()
+        log.mkdir()
     code, _, err = adcbf("predict", folder, *ALL)
     assert code == 0, err
     said = [line for line in err.splitlines() if "without the cloud" in line]

@@ -6,10 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from adcbf_cli.core.types import FloatArray
 from adcbf_cli.io.figures.of_run import values
 from adcbf_cli.io.figures.style import new_figure
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 LEVELS = (0.1, 0.25, 0.5, 0.75, 0.95)
@@ -24,17 +26,22 @@ def draw(document: dict[str, Any]) -> Figure:
         shown = axes.pcolormesh(
             distance, radius, gamma, shading="gouraud", cmap="cividis", vmin=0, vmax=1, rasterized=True
         )
-        lines = axes.contour(distance, radius, gamma, levels=LEVELS, colors="white", linewidths=0.7)
-        axes.clabel(lines, fmt="%g", fontsize=7.5)
-        touching = radius + drawn["keep_out_mm"] / 1000
-        inside = touching <= distance[-1]
-        axes.plot(touching[inside], radius[inside], color="white", linestyle="--", linewidth=1.2)
-        axes.annotate(
-            "h = 0", (touching[inside][-1], radius[inside][-1]), (4, -10), textcoords="offset points", color="white",
-            fontsize=8,
-        )  # fmt: skip
+        levels = [level for level in LEVELS if gamma.min() < level < gamma.max()]
+        if levels:
+            lines = axes.contour(distance, radius, gamma, levels=levels, colors="white", linewidths=0.7)
+            axes.clabel(lines, fmt="%g", fontsize=7.5)
+        _touching(axes, distance, radius, drawn["keep_out_mm"] / 1000)
         axes.set(xlabel="distance between centres [m]", title=", ".join(drawn["planners"]))
         axes.grid(False)
         figure.colorbar(shown, ax=axes, label="gamma [-]")
     figure.axes[0].set_ylabel("obstacle's radius [m]")
     return figure
+
+
+def _touching(axes: Axes, distance: FloatArray, radius: FloatArray, keep_out_m: float) -> None:
+    """The line h = 0, as far as it lies within the map: a wide vehicle's may not at all."""
+    inside = radius[radius + keep_out_m <= distance[-1]]
+    if len(inside):
+        axes.plot(inside + keep_out_m, inside, color="white", linestyle="--", linewidth=1.2)
+        end = (inside[-1] + keep_out_m, inside[-1])
+        axes.annotate("h = 0", end, (4, -10), textcoords="offset points", color="white", fontsize=8)

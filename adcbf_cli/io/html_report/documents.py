@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from adcbf_cli.core.config import PlanningConfig, VehicleConfig
 from adcbf_cli.core.errors import AdcbfError
 from adcbf_cli.io.settings import first_problem
 
-Interval = tuple[float | None, float | None] | None
+
+
+def _known(interval: tuple[float | None, float | None] | None) -> tuple[float | None, float | None] | None:
+    return None if interval is None or None in interval else interval
+
+
+Interval = Annotated[tuple[float | None, float | None] | None, AfterValidator(_known)]
+"""None too where an end is not known."""
 
 
 class _Part(BaseModel):

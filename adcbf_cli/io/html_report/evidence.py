@@ -83,7 +83,7 @@ def score_cell(metric: dict[str, Any] | None) -> Cell:
 
 
 def interval_text(interval: list[float | None] | None) -> str:
-    return "" if interval is None or None in interval else f"{number(interval[0])} to {number(interval[1])}"
+    return "" if interval is None else f"{number(interval[0])} to {number(interval[1])}"
 
 
 def unit_text(unit: str) -> str:

@@ -19,9 +19,9 @@ from adcbf_cli.io.html_report.drives import Detail, gather_drives, gather_gamma,
 from adcbf_cli.io.html_report.points import LogPoints, encode_points, stored_points
 from adcbf_cli.io.html_report.scene import MOST_LIVES, PREDICTED_STEPS, gather_scene, halve
 from adcbf_cli.io.html_report.thinning import evenly, integers
-from adcbf_cli.io.logs import is_object_list, log_files
+from adcbf_cli.io.logs import is_object_list
 from adcbf_cli.io.parquet import read_table, table_metadata
-from adcbf_cli.io.run_folder import DRIVING, STAGES, TABLES, Manifest, RunFolder, identify_source
+from adcbf_cli.io.run_folder import DRIVING, STAGES, TABLES, Manifest, RunFolder, is_source
 
 T = TypeVar("T")
 Watch = Callable[[Iterable[T], int | None, str], Iterator[T]]
@@ -239,7 +239,7 @@ def _why_not_from_log(
         return f"the run stored no points, and its log has {scene['frames']:,} scans to read again", (
             f"adcbf report {folder.path} --points"
         )
-    if identify_source(manifest.source.path, log_files(log)).sha256 != manifest.source.sha256:
+    if not is_source(log, manifest.source):
         return "the run stored no points, and its log has changed since", again
     return None
 

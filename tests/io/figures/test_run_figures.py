@@ -110,6 +110,14 @@ def test_gammas_map_is_laid_out_by_distance_and_radius(document: dict[str, Any])
     np.testing.assert_allclose(mesh.get_array(), [[0, 0.2, 0.6, 1.0], [0, 0.1, 0.3, 0.8]])
 
 
+def test_a_vehicle_that_is_wider_than_the_map_has_no_line_of_touch(document: dict[str, Any]) -> None:
+    (drawn,) = document["run"]["gamma"]
+    drawn |= {"keep_out_mm": 5400, "gamma_e4": [0] * 8}
+    axes = gamma_map.draw(document).axes[0]
+    assert [text.get_text() for text in axes.texts] == []
+    assert len(axes.get_lines()) == 0
+
+
 @pytest.mark.parametrize("name", ["top_view", "margins", "solve_times", "gamma_map", "calibration", "planners"])
 def test_a_runs_figure_has_the_same_bytes_again(name: str, document: dict[str, Any], tmp_path: Path) -> None:
     for folder in (tmp_path / "one", tmp_path / "two"):

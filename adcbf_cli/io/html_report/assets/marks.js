@@ -143,11 +143,7 @@ function gammaMap(map) {
   }));
   picture.append(cells);
   for (const level of [0.1, 0.25, 0.5, 0.75, 0.95]) picture.append(...contour(map, level, x, y));
-  const touching = radius.filter((r) => r + map.keep_out_mm <= distance[distance.length - 1]);
-  const line = touching.map((r, k) => `${k ? "L" : "M"}${x(r + map.keep_out_mm).toFixed(1)} ${y(r).toFixed(1)}`).join("");
-  picture.append(svg("path", { d: line, class: "touching" }));
-  const top_mm = touching[touching.length - 1];
-  picture.append(svg("text", { x: x(top_mm + map.keep_out_mm) + 6, y: y(top_mm) + 14, class: "contour-label" }, "h = 0"));
+  picture.append(...touchingLine(map, x, y));
   for (const mm of ticksOf(distance)) {
     picture.append(svg("text", { x: x(mm), y: high - bottom + 16, class: "tick", "text-anchor": "middle" }, `${mm / 1000}`));
   }
@@ -167,6 +163,19 @@ function gammaMap(map) {
     picture.append(svg("text", { x: wide - right + 33, y: top + inner.y * (1 - value) + (value === 1 ? 10 : 4), class: "tick" }, `${value}`));
   }
   return element("figure", { class: "gamma-map" }, element("figcaption", {}, `gamma of ${map.planners.join(", ")}`), picture);
+}
+
+// The line h = 0 and its label, as far as it lies within the map: a wide vehicle's may not at all.
+function touchingLine(map, x, y) {
+  const { distance_mm: distance, radius_mm: radius, keep_out_mm: apart } = map;
+  const touching = radius.filter((r) => r + apart <= distance[distance.length - 1]);
+  if (!touching.length) return [];
+  const line = touching.map((r, k) => `${k ? "L" : "M"}${x(r + apart).toFixed(1)} ${y(r).toFixed(1)}`).join("");
+  const end = touching[touching.length - 1];
+  return [
+    svg("path", { d: line, class: "touching" }),
+    svg("text", { x: x(end + apart) + 6, y: y(end) + 14, class: "contour-label" }, "h = 0"),
+  ];
 }
 
 function ticksOf(values) {
