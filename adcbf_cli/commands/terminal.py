@@ -82,6 +82,12 @@ def progress(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
         def render(self, task: Any) -> Text:
             return Text(f"{task.finished_speed or task.speed or 0:.1f} frames/s")
 
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), Rate(), TimeRemainingColumn())
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        MofNCompleteColumn(),
+        Rate(),
+        TimeRemainingColumn(),
+    )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         yield from bar.track(items, total=total, description=what)

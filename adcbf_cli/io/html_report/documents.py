@@ -12,7 +12,6 @@ from adcbf_cli.core.errors import AdcbfError
 from adcbf_cli.io.settings import first_problem
 
 
-
 def _known(interval: tuple[float | None, float | None] | None) -> tuple[float | None, float | None] | None:
     return None if interval is None or None in interval else interval
 
