@@ -174,7 +174,7 @@ def _compiled() -> Iterator[Check]:
 
     folder = getattr(getattr(sqp_loop.entry(), "stats", None), "cache_path", None)
     if folder is None:
-        advice = "make the folder of the package writable, or set NUMBA_CACHE_DIR to one that is"
+        advice = "make your cache folder (~/.cache) writable, or set NUMBA_CACHE_DIR to one that is"
         yield Check(
             "compiled solver", "warning", "compiled anew in every process: there is no place to keep it", advice
         )

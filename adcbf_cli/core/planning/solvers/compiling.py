@@ -9,11 +9,14 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import ModuleType
 from typing import Any, TypeVar
 
 from numba import njit
+from numba.core import config
+from numba.misc.appdirs import AppDirs
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -33,13 +36,28 @@ def compiled(function: Function) -> Function:
 
 
 def kept(function: Function) -> Function:
-    """Compiled when first called, and kept on disk if there is a place for it: beside the module or, where
-    that is read-only, in the user's cache."""
+    """Compiled when first called, and kept on disk if there is a place for it: Numba's folder in the user's cache,
+    or NUMBA_CACHE_DIR."""
     try:
-        result: Function = njit(cache=True, **OPTIONS)(function)
+        with _users_cache():
+            result: Function = njit(cache=True, **OPTIONS)(function)
     except RuntimeError:  # no place that can be written to
         return compiled(function)
     return result
+
+
+@contextmanager
+def _users_cache() -> Iterator[None]:
+    """Within, Numba keeps things in the user's cache, and beside the module only where there is none: an installer
+    leaves files there that it does not know of, and their folder then stands for the package that it removed."""
+    options: Any = config
+    dirs: Any = AppDirs
+    chosen = options.CACHE_DIR
+    options.CACHE_DIR = chosen or dirs("numba", appauthor=False).user_cache_dir
+    try:
+        yield
+    finally:
+        options.CACHE_DIR = chosen
 
 
 def source_key(*modules: ModuleType) -> str:
