@@ -23,7 +23,7 @@ from adcbf_cli.core.tracking.measurement import noise_along_axes, nominal_varian
 from adcbf_cli.core.tracking.modes import ModeChain, combine, mix, reweighed
 from adcbf_cli.core.tracking.sharing import Sharing, homes, share_clusters
 from adcbf_cli.core.tracking.standing import hold_faint, hold_structures
-from adcbf_cli.core.tracking.stillness import Sightings, still
+from adcbf_cli.core.tracking.stillness import Sightings, known_to_move, still
 from adcbf_cli.core.tracking.structures import wall_pieces
 from adcbf_cli.core.tracking.views import learn_sizes, size_doubt, view_bodies
 from adcbf_cli.core.types import NO_ID, BoolArray, Clusters, FloatArray, IntArray, Notes, Tracks, TrackStatus
@@ -178,8 +178,7 @@ class Tracker:
         followed = (bank.status != TrackStatus.TENTATIVE) & ~bank.is_structure
         margin_m = np.sqrt(self._config.sigma_range_m**2 + covariance[:, 0, 0] + covariance[:, 1, 1])
         home = homes(visible_m, followed, clusters, margin_m)
-        standing = np.ones(len(bank), dtype=np.bool_)
-        is_moving = ~still(standing, bank.sightings, self._now_s, bank.radius_m, self._config)
+        is_moving = known_to_move(bank.sightings, self._now_s, bank.radius_m, self._config)
         return share_clusters(home, visible_m, bank.is_static, is_moving)
 
     def _associate(
