@@ -10,7 +10,7 @@ from adcbf_cli.core.evaluation.driving import METRICS
 from adcbf_cli.io.parquet import TableWriter
 
 SCENE = ("movers", "fastest_mps", "standing", "bumps_m", "slope_deg")
-COLLISION = ("object_id", "kind", "moving", "at_s", "known_since_s", "avoidable")
+COLLISION = ("object_id", "kind", "moving", "at_s", "known_since_s", "avoidable", "avoidable_until_s")
 
 
 def write_runs(path: Path, rows: Sequence[Mapping[str, Any]], metadata: Mapping[str, Any]) -> None:

@@ -129,6 +129,7 @@ SCHEMAS: dict[str, pa.Schema] = {
             ("hit_moving", pa.bool_()),
             *_floats("hit_at_s", "hit_known_since_s"),
             ("hit_avoidable", pa.bool_()),
+            *_floats("hit_avoidable_until_s"),
             ("escape_exists", pa.bool_()),
             ("log", pa.string()),
             *_floats(*(metric.name for metric in METRICS)),

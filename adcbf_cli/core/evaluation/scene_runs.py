@@ -123,15 +123,19 @@ def _collision(scenario: Scenario, ran: SceneDrive, config: Config) -> Row:
     judged = judge_collision(ran.world, Vehicle.from_config(config.vehicle), drive, ran.known_since_ns)
     kinds = [*scenario.movers, *scenario.objects]
     start_ns = int(drive.stamp_ns[0])
-    known_ns = judged.known_since_ns
+
+    def since_start(stamp_ns: int | None) -> float | None:
+        return None if stamp_ns is None else (stamp_ns - start_ns) / 1e9
+
     return {
         "object_id": judged.object_id,
         "kind": kinds[judged.object_id].kind,
         "moving": judged.object_id < len(scenario.movers),
         "at_s": float(drive.stamp_ns[-1] - start_ns) / 1e9,
         "speed_mps": float(drive.inputs[max(len(drive.inputs) - 2, 0), 0]),
-        "known_since_s": None if known_ns is None else (known_ns - start_ns) / 1e9,
+        "known_since_s": since_start(judged.known_since_ns),
         "avoidable": judged.avoidable,
+        "avoidable_until_s": since_start(judged.avoidable_until_ns),
     }
 
 

@@ -12,7 +12,7 @@ docs/replay.md says what "could have been avoided" means.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,6 +69,7 @@ class Judgement:
     object_id: what was hit. known_since_ns: when it first was known, None where it was not before the hit.
     reacted_from_ns: the first tick that could react to it; the drive's first where it was never known.
     avoidable: True with a way as proof, False where none was found, None where the thing was never known.
+    avoidable_until_ns: the last tick of the drive from which a way was found; None without any.
     way: the search's answer from `reacted_from_ns` on.
     """
 
@@ -76,6 +77,7 @@ class Judgement:
     known_since_ns: int | None
     reacted_from_ns: int
     avoidable: bool | None
+    avoidable_until_ns: int | None
     way: Escape
 
 
@@ -98,19 +100,32 @@ def judge_collision(
     known = known_since_ns.get(hit_id)
     if known is not None and known >= hit_ns:
         known = None
-    tick = 0 if known is None else int(np.searchsorted(drive.stamp_ns, known))
     before = np.zeros(2) if start_inputs is None else start_inputs
-    way = find_escape(
-        world,
-        vehicle,
-        drive.pose[tick],
-        drive.inputs[tick - 1] if tick else before,
-        int(drive.stamp_ns[tick]),
-        hit_ns + round(AFTERWARDS_S * 1e9),
-        tick_s=drive.period_s,
-        width=width,
-    )
-    return Judgement(hit_id, known, int(drive.stamp_ns[tick]), None if known is None else way.found, way)
+
+    def way_from(tick: int) -> Escape:
+        return find_escape(
+            world,
+            vehicle,
+            drive.pose[tick],
+            drive.inputs[tick - 1] if tick else before,
+            int(drive.stamp_ns[tick]),
+            hit_ns + round(AFTERWARDS_S * 1e9),
+            tick_s=drive.period_s,
+            width=width,
+        )
+
+    tick = 0 if known is None else int(np.searchsorted(drive.stamp_ns, known))
+    way = way_from(tick)
+    until_ns = int(drive.stamp_ns[_last_with_way(way_from, tick, len(drive.stamp_ns) - 1)]) if way.found else None
+    return Judgement(hit_id, known, int(drive.stamp_ns[tick]), None if known is None else way.found, until_ns, way)
+
+
+def _last_with_way(way_from: Callable[[int], Escape], found: int, none: int) -> int:
+    """The last tick with a way, by halving: who drives on to a tick with a way had one before it too."""
+    while none - found > 1:
+        middle = (found + none) // 2
+        found, none = (middle, none) if way_from(middle).found else (found, middle)
+    return found
 
 
 def find_escape(

@@ -187,10 +187,11 @@ def _collided(found: Sequence[Mapping[str, Any]]) -> list[str]:
             "never" if one["known_since_s"] is None else f"{one['known_since_s']:.1f}",
             f"{one['speed_mps']:.2f}",
             judged[one["avoidable"]],
+            "-" if one["avoidable_until_s"] is None else f"{one['avoidable_until_s']:.1f}",
         )
         for one in found
     ]
-    head = ("collision", "with", "at, s", "known since, s", "own speed, m/s", "avoidable")
+    head = ("collision", "with", "at, s", "known since, s", "own speed, m/s", "avoidable", "a way until, s")
     return ["## Collisions", table(head, rows)]
 
 

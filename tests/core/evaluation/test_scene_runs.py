@@ -131,6 +131,7 @@ def test_a_collision_with_something_known() -> None:
     hit = row["collision"]
     assert 0 < hit["known_since_s"] < hit["at_s"]
     assert hit["avoidable"] is True
+    assert hit["known_since_s"] < hit["avoidable_until_s"] < hit["at_s"]
     assert row["escape_exists"] is True
 
 

@@ -350,6 +350,15 @@ def test_a_collision_with_what_was_known_in_time_was_avoidable():
     assert judged.avoidable is True
     np.testing.assert_array_equal(judged.way.poses[0], driven.pose[31])
     assert len(judged.way.inputs) * PERIOD_S >= 3.69 - 1.04 + 3.0 - 1e-6, "until three seconds after the hit"
+    assert judged.avoidable_until_ns is not None
+    last = int(np.searchsorted(driven.stamp_ns, judged.avoidable_until_ns))
+    assert 31 < last < len(driven.stamp_ns) - 1
+    until_ns = int(driven.stamp_ns[-1]) + 3 * SECOND
+    found = [
+        find_escape(scene, VEHICLE, driven.pose[k], CRUISING, int(driven.stamp_ns[k]), until_ns).found
+        for k in (last, last + 1)
+    ]
+    assert found == [True, False]
 
 
 def test_a_collision_with_what_became_known_too_late_was_not():
@@ -358,6 +367,7 @@ def test_a_collision_with_what_became_known_too_late_was_not():
     judged = judge_collision(scene, VEHICLE, driven, {0: int(driven.stamp_ns[-6]), 7: START}, CRUISING)
     assert judged.avoidable is False
     assert judged.reacted_from_ns == driven.stamp_ns[-6]
+    assert judged.avoidable_until_ns is None
     assert not judged.way.found
 
 

@@ -14,7 +14,7 @@ def a_run(planner: str, seed: int, result: str = "success", **metrics: float | N
     collision = None
     if result == "collision":
         collision = {"object_id": 0, "kind": "person", "moving": True, "at_s": 9.0, "speed_mps": 0.7}
-        collision |= {"known_since_s": 4.0, "avoidable": True}
+        collision |= {"known_since_s": 4.0, "avoidable": True, "avoidable_until_s": 8.0}
     return {
         "seed": seed,
         "planner": planner,
