@@ -34,7 +34,7 @@ from adcbf_cli.core.simulation.paths import route_points
 from adcbf_cli.core.simulation.scenario import Scenario
 from adcbf_cli.core.simulation.simulator import Simulator
 from adcbf_cli.core.tracking.tracker import Tracker
-from adcbf_cli.core.types import Clusters, FloatArray, Notes, Predictions
+from adcbf_cli.core.types import Clusters, FloatArray, IntArray, Notes, Predictions
 from adcbf_cli.core.vehicles.vehicle import Vehicle
 
 Given = TypeVar("Given")
@@ -96,8 +96,8 @@ def drive_scene(
     start_ns = scenario.start_time_s * 1_000_000_000
     motion = DrivenMotion(vehicle, start_ns, path.at(np.zeros(1))[0])
     simulator = Simulator(scenario, seed, motion)
-    world = SimulatedWorld(simulator.world)
     end_ns = start_ns + round(1e9 * config.replay.timeout_factor * path.length_m / path.speed_mps)
+    world = SimulatedWorld(simulator.world, _ticks(start_ns, end_ns, config.planning.rate_hz))
     nowhere = LogPath(np.array([start_ns, end_ns]), np.full((2, 3), np.nan))
     entry = Entry(planner, seed, start_ns, motion.at(np.array([start_ns]))[0], np.zeros(2), path, keep_stages)
     setting = Setting(world, nowhere, vehicle, config)
@@ -119,6 +119,12 @@ def drive_scene(
         senses.known_since_ns if knowledge == "perception" else _told_since_ns(drive, world, setting.range_m)
     )
     return SceneDrive(drive, world, known_since_ns, stage_ms, motion, path.goal_m, end_ns)
+
+
+def _ticks(start_ns: int, end_ns: int, rate_hz: float) -> IntArray:
+    """The control ticks of a drive, and one more."""
+    count = int((end_ns - start_ns) / 1e9 * rate_hz) + 2
+    return np.asarray(start_ns + np.rint(np.arange(count) * 1e9 * (1.0 / rate_hz)), dtype=np.int64)
 
 
 def _told_since_ns(drive: Drive, world: SimulatedWorld, range_m: float) -> dict[int, int]:

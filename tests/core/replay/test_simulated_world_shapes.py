@@ -9,6 +9,7 @@ import pytest
 
 from adcbf_cli.core.config import VehicleConfig
 from adcbf_cli.core.replay.simulated_world import ROCK_DISCS, SimulatedWorld
+from adcbf_cli.core.replay.world import WorldObjects
 from adcbf_cli.core.simulation.scenario import Scenario
 from adcbf_cli.core.simulation.world import World
 from adcbf_cli.core.types import NO_ID, FloatArray
@@ -205,3 +206,13 @@ def test_an_empty_world_has_nothing_near() -> None:
     _, simulated = worlds([], [])
     assert len(simulated.at(at(0))) == 0
     assert simulated.nearest(np.zeros(2), 0.3, at(0))[1] == NO_ID
+
+
+def test_moments_named_before_are_the_same_to_the_bit() -> None:
+    world, plain = worlds()
+    moments = np.array([at(0.1 * k) for k in range(60)])
+    ahead = SimulatedWorld(world, moments)
+    for stamp in (*moments.tolist(), at(0.05), at(7.0)):
+        one, other = plain.at(stamp), ahead.at(stamp)
+        for name in WorldObjects.__dataclass_fields__:
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
