@@ -97,7 +97,7 @@ def drive_scene(
     motion = DrivenMotion(vehicle, start_ns, path.at(np.zeros(1))[0])
     simulator = Simulator(scenario, seed, motion)
     end_ns = start_ns + round(1e9 * config.replay.timeout_factor * path.length_m / path.speed_mps)
-    world = SimulatedWorld(simulator.world, _ticks(start_ns, end_ns, config.planning.rate_hz))
+    world = SimulatedWorld(simulator.world, control_ticks(start_ns, end_ns, config.planning.rate_hz))
     nowhere = LogPath(np.array([start_ns, end_ns]), np.full((2, 3), np.nan))
     entry = Entry(planner, seed, start_ns, motion.at(np.array([start_ns]))[0], np.zeros(2), path, keep_stages)
     setting = Setting(world, nowhere, vehicle, config)
@@ -121,10 +121,11 @@ def drive_scene(
     return SceneDrive(drive, world, known_since_ns, stage_ms, motion, path.goal_m, end_ns)
 
 
-def _ticks(start_ns: int, end_ns: int, rate_hz: float) -> IntArray:
-    """The control ticks of a drive, and one more."""
+def control_ticks(start_ns: int, end_ns: int, rate_hz: float) -> IntArray:
+    """(k,) the control ticks of a drive from start to end, in ns, and one more."""
     count = int((end_ns - start_ns) / 1e9 * rate_hz) + 2
-    return np.asarray(start_ns + np.rint(np.arange(count) * 1e9 * (1.0 / rate_hz)), dtype=np.int64)
+    since_start = np.rint(np.arange(count) * 1e9 * (1.0 / rate_hz)).astype(np.int64)
+    return np.asarray(start_ns + since_start)
 
 
 def _told_since_ns(drive: Drive, world: SimulatedWorld, range_m: float) -> dict[int, int]:

@@ -13,7 +13,7 @@ from adcbf_cli.core.errors import UsageError
 from adcbf_cli.core.perception.pipeline import Perception
 from adcbf_cli.core.planning.presets import make_planner
 from adcbf_cli.core.replay.records import Result
-from adcbf_cli.core.replay.sensor_loop import SceneDrive, drive_scene
+from adcbf_cli.core.replay.sensor_loop import SceneDrive, control_ticks, drive_scene
 from adcbf_cli.core.simulation.scenario import Scenario
 from adcbf_cli.core.simulation.simulator import Simulator
 from adcbf_cli.core.types import Clusters, Notes
@@ -126,6 +126,12 @@ def test_a_scene_without_a_route_is_refused() -> None:
     ego = {"path": {"kind": "stand", "at_m": [0, 0]}}
     with pytest.raises(UsageError, match="no route"):
         driven(route=None, ego=ego)
+
+
+def test_the_world_is_placed_ahead_at_the_very_ticks_that_are_driven() -> None:
+    driven_ns = driven().drive.stamp_ns
+    ahead_ns = control_ticks(int(driven_ns[0]), int(driven_ns[-1]), Config().planning.rate_hz)
+    np.testing.assert_array_equal(ahead_ns[: len(driven_ns)], driven_ns)
 
 
 def test_with_perfect_knowledge_a_thing_is_known_from_when_it_is_in_range() -> None:
