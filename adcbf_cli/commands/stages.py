@@ -23,10 +23,11 @@ import numpy as np
 
 from adcbf_cli.commands.options import Shared
 from adcbf_cli.commands.plugin_hints import tell_overshadowed
-from adcbf_cli.commands.terminal import progress
+from adcbf_cli.commands.recomputing import what_goes
+from adcbf_cli.commands.terminal import progress, say
 from adcbf_cli.commands.viz import check_viz
 from adcbf_cli.core.config import CLUSTERERS, MOTION_MODELS, Config
-from adcbf_cli.core.errors import AdcbfError, UsageError
+from adcbf_cli.core.errors import AdcbfError, UsageError, given_by_option
 from adcbf_cli.core.plugins import Kind
 from adcbf_cli.core.timing import RecordingTimer
 from adcbf_cli.core.types import Clusters, Frame, Notes, Predictions, Tracks, Truth
@@ -87,7 +88,8 @@ def plan_job(shared: Shared, overrides: dict[str, Any] | None = None, calibratio
     overrides = {**shared.overrides(), **(overrides or {})}
     calibration = None if calibration_file is None else read_text(calibration_file)
     if calibration is not None:
-        _parse_calibration(calibration)
+        with given_by_option(f"--calibration {calibration_file}: "):
+            _parse_calibration(calibration)
     if RunFolder.is_one(shared.source):
         if shared.output is not None and shared.output.resolve() != shared.source.resolve():
             raise UsageError("-o goes with a log; a run folder is worked on where it is")
@@ -103,8 +105,17 @@ def plan_job(shared: Shared, overrides: dict[str, Any] | None = None, calibratio
     config = resolve_config(Config(), shared.config, shared.settings or (), overrides)
     files = log_files(shared.source)
     folder = RunFolder(shared.output or Path(f"{log_stem(shared.source)}.adcbf"))
+    _check_free(folder.path)
     source = identify_source(os.path.relpath(shared.source, folder.path), files)
     return Job(shared.source, folder, source, config, calibration, hashed_now=True)
+
+
+def _check_free(folder: Path) -> None:
+    """UsageError where another command's results are, which a run's report would overwrite."""
+    batch = (folder / "batch.jsonl").exists() or any(folder.glob("runs/log=*"))
+    if batch or (folder / "runs.jsonl").exists():
+        what = "a batch" if batch else "the runs of a closed loop"
+        raise UsageError(f"{folder}: holds {what}; choose another folder with -o")
 
 
 def log_stem(log: Path) -> str:
@@ -124,22 +135,21 @@ def run_stages(job: Job, upto: str, force: bool = False) -> Outcome:
         valid = [stage for stage in STAGES if job.folder.has_valid(stage, keys[stage])]
         reusable = [] if force else [s for s, v in zip(wanted, valid, strict=False) if s == v]
         todo = wanted[len(reusable) :]
-        manifest = _manifest_so_far(job, valid)
+        old = job.folder.usable_manifest()
+        manifest = _manifest_so_far(job, old, valid)
         if todo:
-            _remove_outdated(job.folder, valid)
-            try:
-                manifest = _compute(job, manifest, keys, todo)
-            except BaseException:
-                # Of several tables some may have been finished before the failure: no manifest lists them.
-                _remove_outdated(job.folder, valid)
-                raise
+            with ExitStack() as stack:
+                opened = _open_input(job, manifest, todo, stack)  # before anything goes: there may be no such topic
+                told = what_goes(job.folder, old, manifest, valid, todo, log=job.hashed_now)
+                if told is not None:
+                    say(told)
+                manifest = _compute_anew(job, manifest, keys, valid, todo, opened)
         notes = _together([manifest.stages[stage] for stage in wanted])
         return Outcome(job.folder, manifest, todo, notes)
 
 
-def _manifest_so_far(job: Job, valid: list[str]) -> Manifest:
-    """The folder's manifest with the stages that are still valid, or a new one."""
-    old = job.folder.usable_manifest()
+def _manifest_so_far(job: Job, old: Manifest | None, valid: list[str]) -> Manifest:
+    """The folder's manifest `old` with the stages that are still valid, or a new one."""
     if old is None:
         return Manifest(job.source, {}, job.config, {}, job.calibration, stage_plugins(job.config))
     stages = {name: old.stages[name] for name in valid}
@@ -163,22 +173,47 @@ def _remove_outdated(folder: RunFolder, valid: list[str]) -> None:
         folder.remove_driving(kind)
 
 
-def _compute(job: Job, manifest: Manifest, keys: dict[str, str], todo: tuple[str, ...]) -> Manifest:
-    """Runs the stages `todo` in one pass and writes their tables, then the manifest."""
+def _compute_anew(
+    job: Job, manifest: Manifest, keys: dict[str, str], valid: list[str], todo: tuple[str, ...], opened: _Input
+) -> Manifest:
+    """Removes what no longer holds, then runs the stages `todo`."""
+    _remove_outdated(job.folder, valid)
+    try:
+        return _compute(job, manifest, keys, todo, opened)
+    except BaseException:
+        # Of several tables some may have been finished before the failure: no manifest lists them.
+        _remove_outdated(job.folder, valid)
+        raise
+
+
+@dataclass(frozen=True)
+class _Input:
+    """Where the first stage that runs takes its records from, and what is noted on the way."""
+
+    selection: dict[str, Any]
+    frames: int | None
+    records: Any
+    notes: dict[str, Notes]
+    timer: RecordingTimer
+
+
+def _open_input(job: Job, manifest: Manifest, todo: tuple[str, ...], stack: ExitStack) -> _Input:
+    """The log, or the table of the stage before. Raises AdcbfError where there is no such log, or nothing in it that is
+    asked for."""
     notes = {stage: Notes() for stage in todo}
     timer = RecordingTimer()
-    config = job.config
-    with ExitStack() as stack:
-        selection = manifest.selection
-        total: int | None = manifest.stages["cluster"].rows.get("frames") if "cluster" in manifest.stages else None
-        records: Any
-        if todo[0] == "cluster":
-            selection, total, records = _clusters(job, notes["cluster"], timer, stack)
-        elif todo[0] == "track":
-            records = tables.read_clusters(job.folder.path)
-        else:
-            records = tables.read_tracks(job.folder.path)
+    if todo[0] == "cluster":
+        return _Input(*_clusters(job, notes["cluster"], timer, stack), notes, timer)
+    read: Callable[[Path], Any] = tables.read_clusters if todo[0] == "track" else tables.read_tracks
+    frames = manifest.stages["cluster"].rows.get("frames")
+    return _Input(manifest.selection, frames, read(job.folder.path), notes, timer)
 
+
+def _compute(job: Job, manifest: Manifest, keys: dict[str, str], todo: tuple[str, ...], opened: _Input) -> Manifest:
+    """Runs the stages `todo` in one pass and writes their tables, then the manifest."""
+    notes, timer, records = opened.notes, opened.timer, opened.records
+    config, selection = job.config, opened.selection
+    with ExitStack() as stack:
         writers = _open_writers(job, keys, todo, replace(manifest, selection=selection), stack)
         if "cluster" in todo:
             records = _keep_clusters(records, writers)
@@ -190,7 +225,7 @@ def _compute(job: Job, manifest: Manifest, keys: dict[str, str], todo: tuple[str
         if "predict" in todo:
             predictions = _predict(job, records, notes["predict"], timer)
             records = _keep(predictions, tables.prediction_columns, writers["predictions"])
-        for record in progress(records, total, " + ".join(todo)):
+        for record in progress(records, opened.frames, " + ".join(todo)):
             writers["timings"].write(tables.timing_columns(record.stamp_ns, record.frame_index, timer.take()))
 
     stages = dict(manifest.stages)
@@ -275,7 +310,9 @@ def _parse_calibration(text: str) -> Calibration:
     try:
         document = json.loads(text)
     except (ValueError, RecursionError):
-        raise AdcbfError("the calibration file is not JSON; `adcbf predict --save-calibration` writes one") from None
+        raise AdcbfError(
+            "not a calibration file, it is no JSON; `adcbf predict --save-calibration` writes one"
+        ) from None
     return Calibration.from_dict(document)
 
 

@@ -4,6 +4,9 @@ Anything raised from this module becomes one line on stderr; anything else is a 
 its traceback. The text says what is wrong, where, and what to do next.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 EXIT_OK = 0
 EXIT_FAILED = 1
 EXIT_USAGE = 2
@@ -21,3 +24,12 @@ class UsageError(AdcbfError):
     """What was asked cannot be meant: a bad option, key, name or ambiguity (exit code 2)."""
 
     exit_code = EXIT_USAGE
+
+
+@contextmanager
+def given_by_option(prefix: str = "") -> Iterator[None]:
+    """Within, what is wrong with a file is wrong usage: an option named it, and it is not what that option takes."""
+    try:
+        yield
+    except AdcbfError as error:
+        raise UsageError(f"{prefix}{error}") from None

@@ -12,7 +12,7 @@ import fcntl
 import hashlib
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from itertools import chain
@@ -23,7 +23,7 @@ from pydantic import ValidationError
 
 import adcbf_cli
 from adcbf_cli.core.config import Config
-from adcbf_cli.core.errors import AdcbfError
+from adcbf_cli.core.errors import AdcbfError, UsageError
 from adcbf_cli.core.types import Loss
 from adcbf_cli.io.atomic import remove_leftovers, write_text_atomically
 from adcbf_cli.io.log_base import printable
@@ -34,6 +34,7 @@ from adcbf_cli.io.settings import first_problem
 from adcbf_cli.io.viz import VIEW_FILES
 
 MANIFEST = "run.json"
+LOCK = ".lock"
 
 STAGES = ("cluster", "track", "predict")
 """In pipeline order; a stage needs all the earlier ones."""
@@ -120,6 +121,8 @@ class Manifest:
     @staticmethod
     def from_json(text: str) -> Manifest:
         document = json.loads(text)
+        if not isinstance(document, dict):
+            raise TypeError("it is no mapping")
         if document["schema_version"] != SCHEMA_VERSION:
             raise OutdatedRunError(f"schema version {document['schema_version']}, this adcbf reads {SCHEMA_VERSION}")
         source = document["source"]
@@ -177,8 +180,8 @@ class RunFolder:
         path = self.path / MANIFEST
         try:
             return Manifest.from_json(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            raise AdcbfError(f"{self.path}: not a run folder (no {MANIFEST}); run a stage on a log first") from None
+        except (FileNotFoundError, NotADirectoryError):
+            raise UsageError(f"{self.path}: not a run folder (no {MANIFEST}); run a stage on a log first") from None
         except OutdatedRunError as error:
             raise OutdatedRunError(f"{path}: {error}; run on the log itself to make it anew") from None
         except ValidationError as error:
@@ -212,17 +215,25 @@ class RunFolder:
     def locked(self) -> Iterator[None]:
         """Creates the folder and holds it for writing; a second writer gets an error at once. The
         lock ends with the process, however it ends."""
+        made = not self.path.exists()
         try:
             self.path.mkdir(parents=True, exist_ok=True)
         except (FileExistsError, NotADirectoryError):
-            raise AdcbfError(f"{self.path}: is in the way, not a folder; choose another with -o") from None
-        with (self.path / ".lock").open("w") as handle:
+            raise UsageError(f"{self.path}: is in the way, not a folder; choose another with -o") from None
+        lock = self.path / LOCK
+        with lock.open("w") as handle:
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 raise AdcbfError(f"{self.path}: another adcbf is writing here; wait, or choose another -o") from None
             remove_leftovers(self.path)
-            yield
+            try:
+                yield
+            finally:
+                if made and [*self.path.iterdir()] == [lock]:  # nothing came of it: no folder either
+                    lock.unlink()
+                    with suppress(OSError):
+                        self.path.rmdir()
 
 
 def stage_keys(source_sha256: str, config: Config, calibration: str | None) -> dict[str, str]:
@@ -257,12 +268,15 @@ def code_version() -> str:
 
 
 def identify_source(path: str, files: tuple[Path, ...]) -> Source:
-    """Hashes the log's files. The hash is over names and contents, not over where they lie."""
+    """Hashes the log's files. A log of one file has that file's SHA-256, whatever it is called; of several files, or of
+    scans, whose names say when they were taken, the hash is over names and contents. Where they lie does not count."""
     described = []
     for file in files:
         with file.open("rb") as handle:
             digest = hashlib.file_digest(handle, "sha256").hexdigest()
         described.append(SourceFile(file.name, file.stat().st_size, digest))
+    if len(files) == 1 and files[0].suffix.lower() != ".pcd":
+        return Source(path, described[0].sha256, tuple(described))
     text = json.dumps([[f.name, f.sha256] for f in described])
     return Source(path, hashlib.sha256(text.encode()).hexdigest(), tuple(described))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import subprocess
 import sys
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from adcbf_cli.core.config import Config
-from adcbf_cli.core.errors import AdcbfError
+from adcbf_cli.core.errors import AdcbfError, UsageError
 from adcbf_cli.core.types import Loss
 from adcbf_cli.io.parquet import TableWriter
 from adcbf_cli.io.run_folder import (
@@ -79,15 +80,28 @@ def test_only_a_whole_stage_under_the_right_key_is_valid(tmp_path: Path) -> None
     assert not folder.has_valid("cluster", "k"), "one table is cut short"
 
 
-def test_a_log_is_known_by_names_and_contents_not_by_where_it_lies(tmp_path: Path) -> None:
-    hashes = set()
-    for place in ("here", "there"):
+def test_a_log_of_one_file_is_known_by_its_own_sha256(tmp_path: Path) -> None:
+    """Whatever it is called and wherever it lies: what `sha256sum` says can be compared with what is printed."""
+    for place in ("here/a.mcap", "there/b.mcap"):
+        file = tmp_path / place
+        file.parent.mkdir()
+        file.write_bytes(b"abc")
+        assert identify_source(place, (file,)).sha256 == hashlib.sha256(b"abc").hexdigest()
+
+
+def test_several_files_are_known_by_names_and_contents(tmp_path: Path) -> None:
+    """The names of scans say when they were taken, so that they are part of what is recorded."""
+
+    def known(place: str, **files: str) -> str:
         (tmp_path / place).mkdir()
-        (tmp_path / place / "a.mcap").write_bytes(b"abc")
-        hashes.add(identify_source(f"{place}/a.mcap", (tmp_path / place / "a.mcap",)).sha256)
-    assert len(hashes) == 1
-    (tmp_path / "there" / "a.mcap").write_bytes(b"abd")
-    assert identify_source("x", (tmp_path / "there" / "a.mcap",)).sha256 not in hashes
+        paths = [tmp_path / place / f"{name}.pcd" for name in files]
+        for path, text in zip(paths, files.values(), strict=True):
+            path.write_text(text)
+        return identify_source(place, tuple(paths)).sha256
+
+    assert known("here", a="1", b="2") == known("there", a="1", b="2")
+    assert len({known("w", a="1", b="2"), known("x", a="1", b="3"), known("y", a="1", c="2"), known("z", a="12")}) == 4
+    assert known("one", a="1") != known("other", b="1")
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", "not json", '{"schema_version": 1}'])
@@ -96,6 +110,7 @@ def test_an_unreadable_manifest_is_one_clear_line(tmp_path: Path, text: str) -> 
     with pytest.raises(AdcbfError, match=r"run\.json: unreadable .*remove the folder") as error:
         RunFolder(tmp_path).manifest()
     assert "\n" not in str(error.value)
+    assert "indices" not in str(error.value), "not in Python's words"
 
 
 @pytest.mark.parametrize(
@@ -130,8 +145,14 @@ def test_a_manifest_edited_into_nonsense_is_one_clear_line(tmp_path: Path, old: 
 
 
 def test_no_manifest_is_no_run_folder(tmp_path: Path) -> None:
-    with pytest.raises(AdcbfError, match="not a run folder"):
+    with pytest.raises(UsageError, match="not a run folder"):
         RunFolder(tmp_path).manifest()
+
+
+def test_a_file_is_no_run_folder_and_is_not_to_be_removed(tmp_path: Path) -> None:
+    (tmp_path / "log.mcap").touch()
+    with pytest.raises(UsageError, match=r"log\.mcap: not a run folder"):
+        RunFolder(tmp_path / "log.mcap").manifest()
 
 
 def test_two_writers_do_not_mix(tmp_path: Path) -> None:
@@ -161,5 +182,18 @@ def test_what_a_killed_writer_left_is_cleared(tmp_path: Path) -> None:
 
 def test_a_file_in_the_folder_s_place(tmp_path: Path) -> None:
     (tmp_path / "run").write_text("")
-    with pytest.raises(AdcbfError, match="in the way"), RunFolder(tmp_path / "run").locked():
+    with pytest.raises(UsageError, match="in the way"), RunFolder(tmp_path / "run").locked():
         pass
+
+
+def test_a_folder_that_nothing_came_of_does_not_stay(tmp_path: Path) -> None:
+    new, old = tmp_path / "new", tmp_path / "old"
+    old.mkdir()
+    for folder in (new, old):
+        with pytest.raises(ZeroDivisionError), RunFolder(folder).locked():
+            raise ZeroDivisionError
+    assert not new.exists()
+    assert old.exists(), "somebody else's"
+    with RunFolder(new).locked():
+        (new / "result").touch()
+    assert (new / "result").exists()
