@@ -7,12 +7,10 @@ log, CSV, topic -> route --------+
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import typer
@@ -21,12 +19,10 @@ from adcbf_cli.commands.options import Driving, Shared, parse_seeds
 from adcbf_cli.commands.plugin_hints import tell_overshadowed
 from adcbf_cli.commands.terminal import COMPILING, patience, print_json, print_table, progress, say, show_notes
 from adcbf_cli.core.errors import EXIT_THRESHOLD, AdcbfError, UsageError
-from adcbf_cli.io.run_folder import DRIVING
 
 if TYPE_CHECKING:
     from adcbf_cli.commands.stages import Job, Outcome
     from adcbf_cli.core.config import Config
-    from adcbf_cli.core.evaluation.comparison import Comparison
     from adcbf_cli.core.evaluation.thresholds import Threshold
     from adcbf_cli.core.planning.planner import Planner
     from adcbf_cli.core.planning.reference import ReferencePath
@@ -37,16 +33,9 @@ if TYPE_CHECKING:
     from adcbf_cli.core.types import FloatArray, Notes, Predictions
     from adcbf_cli.core.vehicles.vehicle import Vehicle
 
-_COUNTERFACTUAL = (
-    "Counterfactual: the recorded obstacles moved as they did and would not have reacted to this vehicle; what its "
-    "own sensor would have seen is taken from the log's."
-)
-_REFERENCE_TOLERANCE_M = 0.01
-"""The report keeps the reference path within this: enough to draw it."""
-
 
 @dataclass(frozen=True)
-class _Setting:
+class Setting:
     """Everything that a drive happens in."""
 
     outcome: Outcome
@@ -125,7 +114,7 @@ def run_replay(shared: Shared, driving: Driving, start: str | None, seeds: str) 
     _finish(setting, "replay", drives, driving, shared, thresholds)
 
 
-def _follows_log(setting: _Setting, driving: Driving) -> bool:
+def _follows_log(setting: Setting, driving: Driving) -> bool:
     """Whether the route is the way that the log's own vehicle took."""
     return setting.log_path.known and driving.goal is None and driving.reference is None
 
@@ -184,7 +173,7 @@ def _set_up(
     kind: str,
     names: tuple[str, ...],
     start: FloatArray | None = None,
-) -> _Setting:
+) -> Setting:
     """Runs the stages that are missing, and puts together what drives happen in."""
     from adcbf_cli.commands.evaluate import placed_truth
     from adcbf_cli.commands.stages import run_stages
@@ -214,7 +203,7 @@ def _set_up(
     log_path = _log_path(job, outcome, kind)
     frame = outcome.manifest.selection.get("world_frame")
     route = _route(job, driving, log_path, world, frame, start, _speed(job.config, log_path, kind))
-    return _Setting(outcome, job.config, vehicle, world, world_source, log_path, route, names, notes)
+    return Setting(outcome, job.config, vehicle, world, world_source, log_path, route, names, notes)
 
 
 def _speed(config: Config, log_path: LogPath, kind: str) -> float:
@@ -274,7 +263,7 @@ def _route(
     return route_from_log(log_path, speed_mps)
 
 
-def _first_start(setting: _Setting, place: FloatArray | None, driving: Driving) -> Start:
+def _first_start(setting: Setting, place: FloatArray | None, driving: Driving) -> Start:
     """Where seed 0 starts: where the user says, else with the log, else standing at the route's start."""
     from adcbf_cli.core.replay.routes import Start, log_start
 
@@ -287,7 +276,7 @@ def _first_start(setting: _Setting, place: FloatArray | None, driving: Driving) 
 
 
 def _finish(
-    setting: _Setting,
+    setting: Setting,
     kind: str,
     drives: list[Drive],
     driving: Driving,
@@ -295,6 +284,7 @@ def _finish(
     thresholds: list[Threshold],
 ) -> None:
     """Tables, report, the terminal's table, thresholds, exit code."""
+    from adcbf_cli.commands.driving_report import driving_document, write_driving
     from adcbf_cli.commands.summary import exit_for
     from adcbf_cli.commands.viz import write_viz
     from adcbf_cli.core.evaluation.comparison import add_to_report, compare
@@ -307,8 +297,8 @@ def _finish(
     report = Report()
     add_to_report(comparison, report)
     failures = missed(thresholds, report)
-    document = _document(setting, kind, comparison, failures)
-    folder = _write(setting, kind, drives, comparison, document)
+    document = driving_document(setting, kind, drives, comparison, failures)
+    folder = write_driving(setting, kind, drives, comparison, document)
     write_viz(setting.outcome, shared.viz)
     if shared.json_output:
         print_json(document)
@@ -323,70 +313,3 @@ def _finish(
     if failures:
         raise typer.Exit(EXIT_THRESHOLD)
     exit_for(setting.outcome)
-
-
-def _document(setting: _Setting, kind: str, comparison: Comparison, failures: list[str]) -> dict[str, Any]:
-    from adcbf_cli.core.planning.presets import PLANNERS
-    from adcbf_cli.core.polylines import simplified
-    from adcbf_cli.io.plugin_versions import planner_plugins
-
-    source, config = setting.outcome.manifest.source, setting.config
-    return {
-        "schema_version": 1,
-        "mode": "closed loop" if kind == "replay" else "open loop",
-        "counterfactual": _COUNTERFACTUAL if kind == "replay" else None,
-        "source": {"name": Path(source.path).name, "sha256": source.sha256},
-        "world": setting.world_source,
-        "route": {
-            "length_m": round(setting.route.length_m, 4),
-            "speed_mps": setting.route.speed_mps,
-            "start_m": [round(float(value), 4) for value in setting.route.points_m[0]],
-            "goal_m": [round(float(value), 4) for value in setting.route.goal_m],
-        },
-        "reference_m": simplified(setting.route.points_m, _REFERENCE_TOLERANCE_M).round(3).tolist(),
-        "config": {name: getattr(config, name).model_dump(mode="json") for name in ("vehicle", "planning", "replay")},
-        "plugins": planner_plugins(setting.planners, PLANNERS),
-        "thresholds_missed": failures,
-        "warnings": setting.notes.warnings,
-        "counters": setting.notes.counters,
-        "comparison": comparison.to_dict(),
-    }
-
-
-def _write(setting: _Setting, kind: str, drives: list[Drive], comparison: Comparison, document: dict[str, Any]) -> Path:
-    from adcbf_cli.core.evaluation.comparison_text import markdown
-    from adcbf_cli.core.planning.gamma_map import gamma_maps
-    from adcbf_cli.io.atomic import write_text_atomically
-    from adcbf_cli.io.driving_tables import write_drives, write_gamma_map
-    from adcbf_cli.io.run_folder import code_version
-
-    outcome = setting.outcome
-    folder = outcome.folder.path / DRIVING[kind]
-    metadata = {
-        "key": outcome.manifest.stages["predict"].key,
-        "against": comparison.against,
-        "adcbf": code_version(),
-        **{name: document[name] for name in ("mode", "source", "world", "route", "config", "plugins")},
-    }
-    with outcome.folder.locked():
-        folder.mkdir(exist_ok=True)
-        outcome.folder.remove_driving(kind)
-        write_drives(folder, drives, metadata)
-        write_gamma_map(folder, gamma_maps(setting.planners, setting.config.planning), metadata)
-        write_text_atomically(folder / "report.md", _heading(document) + markdown(comparison))
-        write_text_atomically(folder / "report.json", json.dumps(document, indent=2, allow_nan=False) + "\n")
-    return folder
-
-
-def _heading(document: dict[str, Any]) -> str:
-    lines = [
-        f"# {document['mode'].capitalize()}",
-        "",
-        f"Log: {document['source']['name']}; world: {document['world']}.",
-    ]
-    if document["counterfactual"]:
-        lines += ["", document["counterfactual"]]
-    for failure in document["thresholds_missed"]:
-        lines += ["", f"**Threshold missed**: {failure}"]
-    lines += [f"\n- Warning: {warning}" for warning in document["warnings"]]
-    return "\n".join(lines) + "\n\n"

@@ -20,6 +20,7 @@ from adcbf_cli.io.log_base import printable
 from adcbf_cli.io.parquet import table_metadata
 from adcbf_cli.io.report import JSON_NAME
 from adcbf_cli.io.run_folder import DRIVING, Manifest, RunFolder
+from adcbf_cli.io.run_settings import settings_made_with
 
 REPORTS = (JSON_NAME, *(f"{place}/{JSON_NAME}" for place in DRIVING.values()))
 """Where a run folder keeps its scores."""
@@ -29,30 +30,35 @@ def read_scored_run(path: Path, name: str) -> ScoredRun:
     """What the folder says of itself and of its scores. AdcbfError where it is no run folder or a report is damaged."""
     folder = RunFolder(path)
     manifest = folder.manifest()
-    report = _document(path / JSON_NAME)
+    report = _document(path / JSON_NAME, "evaluate")
     metrics: dict[str, Metric] = {}
     truth: Any = None
+    block_s: float | None = None
+    settings = settings_made_with(manifest.config, None, {})
     if report is not None:
-        with _unreadable(path / JSON_NAME):
+        with _unreadable(path / JSON_NAME, "evaluate"):
             found = {n: m for n, m in report["metrics"].items() if n.partition(".")[0] not in DRIVING}
             metrics = {printable(n): _metric(m) for n, m in found.items()}
             truth = _truth(report)
+            block_s = _number(report["basis"]["config"]["bootstrap_block_s"])
+            settings |= settings_made_with(manifest.config, report, {})
     driven: dict[Kind, Driven] = {}
-    driving = {kind: _document(path / place / JSON_NAME) for kind, place in DRIVING.items()}
+    found_driving = {kind: _document(path / place / JSON_NAME, kind) for kind, place in DRIVING.items()}
+    driving = {kind: document for kind, document in found_driving.items() if document is not None}
     for kind, document in driving.items():
-        if document is None:
-            continue
-        with _unreadable(path / DRIVING[kind] / JSON_NAME):
+        with _unreadable(path / DRIVING[kind] / JSON_NAME, kind):
             metrics |= _driving_metrics(kind, document["comparison"])
             driven[cast(Kind, kind)] = _driven(document)
-    documents = [document for document in (report, *driving.values()) if document is not None]
+            settings |= settings_made_with(manifest.config, None, {kind: document})
+    documents = [*([] if report is None else [report]), *driving.values()]
     return ScoredRun(
         name=name,
         version=printable(str((table_metadata(folder.table("frames")) or {}).get("adcbf", "unknown"))),
         source_name=printable(Path(manifest.source.path).name),
         source_sha256=manifest.source.sha256,
         truth=truth,
-        settings=_settings(manifest),
+        settings=settings,
+        block_s=block_s,
         metrics=metrics,
         driven=driven,
         warnings=_all_texts([r.warnings for r in manifest.stages.values()], documents, "warnings"),
@@ -62,9 +68,9 @@ def read_scored_run(path: Path, name: str) -> ScoredRun:
     )
 
 
-def _document(path: Path) -> dict[str, Any] | None:
-    """A report, None where there is none; AdcbfError where it is not one."""
-    with _unreadable(path):
+def _document(path: Path, remake: str) -> dict[str, Any] | None:
+    """A report, None where there is none; AdcbfError where it is not one. remake: the command that writes it."""
+    with _unreadable(path, remake):
         try:
             text = path.read_text(encoding="utf-8")
         except FileNotFoundError:
@@ -88,12 +94,12 @@ def _finite(digits: str) -> float:
 
 
 @contextmanager
-def _unreadable(path: Path) -> Iterator[None]:
+def _unreadable(path: Path, remake: str) -> Iterator[None]:
     try:
         yield
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError, OverflowError) as error:
         reason = printable((str(error) or type(error).__name__).splitlines()[0])[:120]
-        raise AdcbfError(f"{path}: unreadable ({reason}); make it anew with `adcbf evaluate`") from None
+        raise AdcbfError(f"{path}: unreadable ({reason}); make it anew with `adcbf {remake}`") from None
 
 
 def _metric(document: Mapping[str, Any]) -> Metric:
@@ -146,13 +152,9 @@ def _driving_metrics(kind: str, comparison: Mapping[str, Any]) -> dict[str, Metr
 
 
 def _driven(document: Mapping[str, Any]) -> Driven:
-    config = document["config"]
-    starts = {
-        "world": document["world"],
-        "route": document["route"],
-        "rate_hz": config["planning"]["rate_hz"],
-        "replay": {key: value for key, value in config["replay"].items() if key.startswith("start_")},
-    }
+    """Reports of older versions do not say where drives start: none of theirs are pairs."""
+    world = {"sha256": document.get("world_sha256"), "route": document["route"]}
+    starts = {int(seed): start for seed, start in document.get("starts", {}).items()}
     scores = {
         printable(planner): {
             int(seed): {str(name): _number(value) for name, value in row.items()}
@@ -160,15 +162,7 @@ def _driven(document: Mapping[str, Any]) -> Driven:
         }
         for planner, score in document["comparison"]["planners"].items()
     }
-    return Driven(scores, starts)
-
-
-def _settings(manifest: Manifest) -> dict[str, Any]:
-    return {
-        f"{stage}.{key}": value
-        for stage, fields in manifest.config.model_dump(mode="json").items()
-        for key, value in fields.items()
-    }
+    return Driven(scores, world, starts)
 
 
 def _all_texts(first: list[list[str]], documents: list[dict[str, Any]], key: str) -> tuple[str, ...]:

@@ -122,9 +122,10 @@ class BlockSums:
         return float(low), float(high)
 
 
-def paired_interval(base: Blocks, other: Blocks, name: str) -> tuple[float, float] | None:
+def paired_interval(base: Blocks, other: Blocks, name: str) -> tuple[tuple[float, float], int] | None:
     """95 % percentile interval of a metric in `other` minus the same in `base`, over resamples of the blocks that
-    either has, drawn alike for both (seeded by the name); None with fewer than MIN_BLOCKS."""
+    either has, drawn alike for both (seeded by the name), and how many blocks (or hands, where either was dealt) that
+    are; None with fewer than MIN_BLOCKS."""
     if base.dealt or other.dealt:
         base, other = _in_hands(base), _in_hands(other)
     keys = np.union1d(base.keys, other.keys)
@@ -140,7 +141,7 @@ def paired_interval(base: Blocks, other: Blocks, name: str) -> tuple[float, floa
     if base.root:
         means = np.sqrt(means)
     low, high = np.quantile(means[:, 1] - means[:, 0], [0.025, 0.975])
-    return float(low), float(high)
+    return (float(low), float(high)), len(keys)
 
 
 def _in_hands(blocks: Blocks) -> Blocks:

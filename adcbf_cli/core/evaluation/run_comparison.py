@@ -18,7 +18,7 @@ from adcbf_cli.core.evaluation.driving import BY_NAME
 from adcbf_cli.core.evaluation.intervals import MIN_DRIVES
 from adcbf_cli.core.evaluation.rare_rates import difference_interval
 from adcbf_cli.core.evaluation.report import Metric
-from adcbf_cli.core.evaluation.scored_run import ScoredRun
+from adcbf_cli.core.evaluation.scored_run import Driven, ScoredRun
 
 Better = Literal["lower", "higher", "neither"]
 Verdict = Literal["better", "worse", "no clear difference", "the same", "changed", "unknown"]
@@ -120,7 +120,7 @@ def compare_runs(
             changes[name] = _drives_changed(name, a, b, base, other)
         else:
             reason = _not_paired(name, base, other)
-            changes[name] = _mean_changed(name, a, b, reason, (base_blocks, other_blocks), _block_s(base))
+            changes[name] = _mean_changed(name, a, b, reason, (base_blocks, other_blocks), base.block_s or math.nan)
     return RunComparison(other.name, changes, _settings_changed(base, other), _remarks(base, other))
 
 
@@ -157,10 +157,10 @@ def _mean_changed(
         kept = all(blocks)
         why = "one number for the whole log" if kept else "a run was scored without score_blocks.parquet"
         return _change(name, a, b, no_interval=why)
-    interval = paired_interval(mine, others, name)
-    if interval is None:
+    found = paired_interval(mine, others, name)
+    if found is None:
         return _change(name, a, b, no_interval=f"fewer than {MIN_BLOCKS} blocks of {block_s:g} s")
-    pairs = len({*mine.keys.tolist(), *others.keys.tolist()})
+    interval, pairs = found
     return _change(name, a, b, interval=interval, paired_by=f"blocks of {block_s:g} s", pairs=pairs)
 
 
@@ -173,8 +173,10 @@ def _drives_changed(name: str, a: Metric, b: Metric, base: ScoredRun, other: Sco
         return _change(name, a, b, no_interval=f"not measured in {'the base' if a.value is None else 'this run'}")
     if base.source_sha256 != other.source_sha256:
         return _change(name, a, b, no_interval="another log")
-    if drives.starts != others.starts:
+    alike = _alike(drives, others)
+    if not alike:
         return _change(name, a, b, no_interval="another world, route or start: drives of a seed are no pairs")
+    here, there = ({seed: row for seed, row in rows.items() if seed in alike} for rows in (here, there))
     declared = BY_NAME.get(metric)
     if declared is None or not _has(metric, here) or not _has(metric, there):
         return _change(name, a, b, no_interval="no scores by seed")
@@ -184,6 +186,13 @@ def _drives_changed(name: str, a: Metric, b: Metric, base: ScoredRun, other: Sco
         why = f"fewer than {MIN_DRIVES} seeds with a value in both"
         return _change(name, a, b, no_interval=why)
     return _change(name, a, b, difference=found.value, interval=interval, paired_by="seeds", pairs=found.n)
+
+
+def _alike(base: Driven, other: Driven) -> set[int]:
+    """The seeds whose drives are pairs: they start alike, in the same world."""
+    if base.world != other.world:
+        return set()
+    return {seed for seed, start in base.starts.items() if seed in other.starts and start == other.starts[seed]}
 
 
 def _has(metric: str, scores: Scores) -> bool:
@@ -205,19 +214,21 @@ def _not_paired(name: str, base: ScoredRun, other: ScoredRun) -> str | None:
         return "another log"
     if base.truth != other.truth and not name.startswith(_NEEDS_NO_TRUTH):
         return "another ground truth"
-    if _block_s(base) != _block_s(other):
+    if base.block_s != other.block_s:
         return "another evaluation.bootstrap_block_s"
     return None
 
 
-def _block_s(run: ScoredRun) -> float:
-    return float(run.settings.get("evaluation.bootstrap_block_s", math.nan))
-
-
 def _settings_changed(base: ScoredRun, other: ScoredRun) -> dict[str, tuple[Any, Any]]:
-    keys = dict.fromkeys((*base.settings, *other.settings))
-    pairs = {key: (base.settings.get(key), other.settings.get(key)) for key in keys}
-    return {key: pair for key, pair in pairs.items() if pair[0] != pair[1]}
+    """Of what both runs hold: a report that one lacks was not made with other settings."""
+    changed: dict[str, tuple[Any, Any]] = {}
+    for made in (made for made in base.settings if made in other.settings):
+        mine, others = base.settings[made], other.settings[made]
+        for key in dict.fromkeys((*mine, *others)):
+            pair = (mine.get(key), others.get(key))
+            if pair[0] != pair[1]:
+                changed[key] = pair
+    return changed
 
 
 def _remarks(base: ScoredRun, other: ScoredRun) -> tuple[str, ...]:

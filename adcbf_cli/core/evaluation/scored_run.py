@@ -12,15 +12,18 @@ from adcbf_cli.core.evaluation.report import Metric
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """One kind of driving. scores: by planner. starts: what says where a seed's drive starts and leads, JSON-able."""
+    """One kind of driving. scores: by planner. world: what says what was there and where drives lead, starts: by seed,
+    where and when its drives begin; both JSON-able."""
 
     scores: Mapping[str, Scores]
-    starts: Any
+    world: Any
+    starts: Mapping[int, Any]
 
 
 @dataclass(frozen=True, slots=True)
 class ScoredRun:
-    """name: tells it from others. version: of the code that made it. settings: by dotted key.
+    """name: tells it from others. version: of the code that made it. settings: by what was made with them (tables,
+    a report), then by dotted key. block_s: how long the blocks are that intervals are drawn over; None without any.
 
     truth: says what the metrics against ground truth were held against, JSON-able; None without any.
     metrics: by flat name, of the evaluation and of the planners. driven: by kind.
@@ -31,7 +34,8 @@ class ScoredRun:
     source_name: str
     source_sha256: str
     truth: Any
-    settings: Mapping[str, Any]
+    settings: Mapping[str, Mapping[str, Any]]
+    block_s: float | None
     metrics: Mapping[str, Metric]
     driven: Mapping[Kind, Driven]
     warnings: tuple[str, ...] = ()

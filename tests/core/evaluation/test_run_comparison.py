@@ -18,7 +18,8 @@ from adcbf_cli.core.evaluation.run_comparison import Change, RunComparison, bett
 from adcbf_cli.core.evaluation.run_comparison_text import document, markdown, side_by_side
 from adcbf_cli.core.evaluation.scored_run import Driven, ScoredRun
 
-SETTINGS = {"evaluation.bootstrap_block_s": 5.0, "tracking.filter": "ukf"}
+SETTINGS = {"tables": {"tracking.filter": "ukf"}, "evaluate": {"evaluation.match_m": 1.0}}
+OTHER_FILTER = SETTINGS | {"tables": {"tracking.filter": "ekf"}}
 ERROR = "tracking.rmse_x_m"
 
 
@@ -33,6 +34,7 @@ def scored(name: str, metrics: Mapping[str, Metric], **rest: Any) -> ScoredRun:
         "source_sha256": "ab" * 32,
         "truth": "cd" * 32,
         "settings": SETTINGS,
+        "block_s": 5.0,
         "driven": {},
         "scored": True,
     }
@@ -57,7 +59,9 @@ def test_pairing_takes_out_what_blocks_have_in_common() -> None:
     common = rng.uniform(1.0, 9.0, 40)
     found = paired_interval(blocks(common), blocks(common + 0.001 + rng.normal(0, 1e-4, 40)), "a")
     assert found is not None
-    assert 0.0008 < found[0] < 0.001 < found[1] < 0.0012
+    (low, high), pairs = found
+    assert 0.0008 < low < 0.001 < high < 0.0012
+    assert pairs == 40
 
 
 def test_an_interval_holds_the_true_difference_as_often_as_it_says() -> None:
@@ -67,21 +71,25 @@ def test_an_interval_holds_the_true_difference_as_often_as_it_says() -> None:
         base = rng.normal(5.0, 2.0, 60)
         found = paired_interval(blocks(base), blocks(base + rng.normal(0.3, 0.5, 60)), f"trial {trial}")
         assert found is not None
-        hits += found[0] <= 0.3 <= found[1]
+        hits += found[0][0] <= 0.3 <= found[0][1]
     assert 0.88 <= hits / 100 <= 0.99
 
 
 def test_a_root_mean_square_is_compared_as_one() -> None:
     found = paired_interval(blocks(np.full(8, 4.0), root=True), blocks(np.full(8, 9.0), root=True), "a")
-    assert found == pytest.approx((1.0, 1.0))
+    assert found is not None
+    assert found[0] == pytest.approx((1.0, 1.0))
 
 
 def test_blocks_that_only_one_run_has_count_for_that_run() -> None:
     base = blocks(np.full(6, 1.0), keys=[0, 1, 2, 3, 4, 5])
     other = blocks(np.array([1.0, 1, 1, 1, 1, 7]), keys=[0, 1, 2, 3, 4, 9])
-    low, high = paired_interval(base, other, "a") or (0.0, 0.0)
+    found = paired_interval(base, other, "a")
+    assert found is not None
+    (low, high), pairs = found
     assert low == pytest.approx(0.0)
     assert high > 1.0
+    assert pairs == 7
 
 
 def test_a_run_whose_blocks_were_dealt_is_paired_with_one_whose_were_not() -> None:
@@ -93,7 +101,10 @@ def test_a_run_whose_blocks_were_dealt_is_paired_with_one_whose_were_not() -> No
     dealt = _in_hands(zeroed)
     assert dealt.dealt
     assert dealt.sums.sum() == pytest.approx(zeroed.sums.sum())
-    assert paired_interval(plain, dealt, "a") == pytest.approx((1.0, 1.0))
+    found = paired_interval(plain, dealt, "a")
+    assert found is not None
+    assert found[0] == pytest.approx((1.0, 1.0))
+    assert found[1] == len(dealt.keys) < 200, "hands are what is paired"
 
 
 def compared(
@@ -118,7 +129,7 @@ def test_a_run_compared_with_itself_differs_by_nothing() -> None:
     [
         ({"source_sha256": "ef" * 32}, "another log"),
         ({"truth": None}, "another ground truth"),
-        ({"settings": SETTINGS | {"evaluation.bootstrap_block_s": 2.0}}, "another evaluation.bootstrap_block_s"),
+        ({"block_s": 2.0}, "another evaluation.bootstrap_block_s"),
     ],
 )
 def test_what_cannot_be_paired_has_a_difference_and_a_reason(rest: dict[str, Any], reason: str) -> None:
@@ -140,22 +151,26 @@ def test_reasons_within_a_pair_of_runs() -> None:
 
 
 def test_metrics_of_either_run_are_there_and_settings_that_differ() -> None:
-    other = scored("b", {"tracks.created": metric(3.0)}, settings=SETTINGS | {"tracking.filter": "ekf"})
+    other = scored(
+        "b", {"tracks.created": metric(3.0)}, settings=OTHER_FILTER | {"plan": {"planning.starts (plan)": 2}}
+    )
     found = compared(scored("a", {ERROR: metric(1.0)}), other)
     assert list(found.changes) == [ERROR, "tracks.created"]
     assert found.changes["tracks.created"].no_interval == "not measured in the base"
-    assert found.settings == {"tracking.filter": ("ukf", "ekf")}
+    assert found.settings == {"tracking.filter": ("ukf", "ekf")}, "what only one has a report of does not differ"
 
 
-def driven(values: dict[str, list[float | None]], starts: Any = "here") -> Driven:
+def driven(values: dict[str, list[float | None]], world: str, moved: int) -> Driven:
     seeds = range(len(next(iter(values.values()))))
-    return Driven({"mpc": {seed: {name: of[seed] for name, of in values.items()} for seed in seeds}}, starts)
+    scores = {"mpc": {seed: {name: of[seed] for name, of in values.items()} for seed in seeds}}
+    return Driven(scores, world, {seed: {"x_m": 0.5 if seed < moved else 0.0} for seed in seeds})
 
 
-def driven_run(name: str, values: dict[str, list[float | None]], starts: Any = "here") -> ScoredRun:
+def driven_run(name: str, values: dict[str, list[float | None]], world: str = "here", moved: int = 0) -> ScoredRun:
+    """moved: so many seeds start elsewhere."""
     known = {n: [v for v in of if v is not None] for n, of in values.items()}
     metrics = {f"replay.mpc.{n}": metric(sum(of) / len(of), len(of)) for n, of in known.items()}
-    return scored(name, metrics, driven={"replay": driven(values, starts)})
+    return scored(name, metrics, driven={"replay": driven(values, world, moved)})
 
 
 def test_drives_are_paired_by_seed() -> None:
@@ -173,12 +188,20 @@ def test_drives_are_paired_by_seed() -> None:
     assert hits.interval[0] < 0.5 < hits.interval[1]
 
 
-def test_equal_seeds_from_other_starts_are_no_pairs() -> None:
-    base, other = driven_run("a", {"nav_time_s": [1.0] * 9}), driven_run("b", {"nav_time_s": [2.0] * 9}, "there")
-    found = compared(base, other).changes["replay.mpc.nav_time_s"]
+@pytest.mark.parametrize(("world", "moved"), [("there", 0), ("here", 9)])
+def test_equal_seeds_from_other_starts_are_no_pairs(world: str, moved: int) -> None:
+    base = driven_run("a", {"nav_time_s": [1.0] * 9})
+    found = compared(base, driven_run("b", {"nav_time_s": [2.0] * 9}, world, moved)).changes["replay.mpc.nav_time_s"]
     assert found.difference == 1.0
     assert found.no_interval is not None
     assert found.no_interval.startswith("another world, route or start")
+
+
+def test_only_the_seeds_that_start_alike_are_pairs() -> None:
+    base = driven_run("a", {"nav_time_s": [float(k) for k in range(9)]})
+    other = driven_run("b", {"nav_time_s": [99.0, 99.0, *(k + 1.0 for k in range(2, 9))]}, moved=2)
+    found = compared(base, other).changes["replay.mpc.nav_time_s"]
+    assert (found.difference, found.pairs) == (1.0, 7)
 
 
 def test_no_event_in_any_of_few_pairs_is_still_uncertain() -> None:
@@ -258,7 +281,7 @@ def test_a_line_tells_what_happened() -> None:
 def test_markdown_is_safe_and_whole() -> None:
     name = "detection.recall.<b>|`x`"
     base = scored("main.adcbf", {ERROR: metric(1.0), name: metric(0.5)}, source_name="a|<script>.mcap")
-    other = scored("pr.adcbf", {ERROR: metric(2.0), name: metric(0.5)}, settings=SETTINGS | {"tracking.filter": "ekf"})
+    other = scored("pr.adcbf", {ERROR: metric(2.0), name: metric(0.5)}, settings=OTHER_FILTER)
     mine = (blocks(np.ones(9)), blocks(np.full(9, 2.0)))
     found = compared(base, other, *mine)
     page = markdown(base, [found], {"pr.adcbf": ["too much"]})

@@ -104,6 +104,19 @@ def test_what_stands_is_there_before_between_and_after() -> None:
         assert objects.velocity_mps.tolist() in ([[0.0, 0.0]], [[pytest.approx(0.0), 0.0]])
 
 
+def test_worlds_are_told_apart_by_what_was_there_and_when() -> None:
+    def world(shift_m: float = 0.0, later_ns: int = 0, order: int = 1, standing: bool = False) -> RecordedWorld:
+        stamps, place = np.array([0, 1, 2]) * 10**9 + later_ns, np.array([[0.0, 1.0], [0.5, 1.0], [1.0, 1.0 + shift_m]])
+        samples = Samples.of(np.full(3, 4), stamps[::order], place[::order], np.full(3, 0.3))
+        return RecordedWorld(samples, 1.5, np.array([4]) if standing else None)
+
+    same = world().sha256
+    assert world(order=-1).sha256 == same
+    assert world(shift_m=1e-9).sha256 == same, "less than any machine agrees on"
+    others = {world(shift_m=1e-3).sha256, world(later_ns=1).sha256, world(standing=True).sha256}
+    assert len(others | {same}) == 4
+
+
 def test_an_empty_world() -> None:
     none = np.zeros(0, dtype=np.int64)
     world = RecordedWorld(Samples.of(none, none, np.zeros((0, 2)), np.zeros(0)), 0.5)
