@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TextIO
 import typer
 from typer.core import TyperCommand
 
+from adcbf_cli.commands import completing
 from adcbf_cli.commands.terminal import print_json, say
 from adcbf_cli.core.errors import EXIT_DATA_LOST, EXIT_FAILED, EXIT_THRESHOLD, UsageError
 
@@ -51,7 +53,13 @@ class CommandAfterDashes(TyperCommand):
 def batch(
     ctx: typer.Context,
     logs: Annotated[
-        list[str] | None, typer.Argument(metavar="LOGS", help="Logs, or quoted patterns.", show_default=False)
+        list[str] | None,
+        typer.Argument(
+            metavar="LOGS",
+            help="Logs, or quoted patterns.",
+            show_default=False,
+            autocompletion=completing.batch_commands,
+        ),
     ] = None,
     list_file: Annotated[
         str | None, typer.Option("--from", metavar="FILE|-", help="Also the logs that this file lists, one a line.")
@@ -61,7 +69,13 @@ def batch(
         int | None, typer.Option("--jobs", "-j", min=1, help="Logs at once; default: as many as cores.")
     ] = None,
     engine: Annotated[
-        str, typer.Option("--engine", metavar="processes|ray", help="Processes here, or a Ray cluster (adcbf[ray]).")
+        str,
+        typer.Option(
+            "--engine",
+            metavar="processes|ray",
+            help="Processes here, or a Ray cluster (adcbf[ray]).",
+            autocompletion=completing.one_of("processes", "ray"),
+        ),
     ] = "processes",
     address: Annotated[
         str | None,
@@ -134,38 +148,52 @@ def _engine(name: str, address: str | None, jobs: int | None) -> Callable[..., F
 def _plan(logs: Sequence[str], list_file: str | None, output: Path, words: Sequence[str]) -> dict[str, LogTask]:
     """Everything that can be wrong in what was asked is found before any work is done."""
     from adcbf_cli.commands.batch_work import LogTask, settings_in_environment, software
-    from adcbf_cli.io.batch_logs import find_logs, unique_names
-    from adcbf_cli.io.run_folder import RunFolder
+    from adcbf_cli.io.batch_logs import find_logs, resolved, unique_names
+    from adcbf_cli.io.batch_tables import BatchTables
+    from adcbf_cli.io.run_folder import MANIFEST, RunFolder
 
     if RunFolder.is_one(output):
         raise UsageError(f"{output}: is the run folder of a log; choose another with -o")
     found = find_logs(logs, list_file)
     for path in found:
-        if RunFolder.is_one(path):
+        if os.path.isfile(path / MANIFEST):  # False too where the path is none at all
             raise UsageError(f"{path}: is a run folder; a batch is of logs")
-    command = _checked_command(words, found[0])
+    command = _command(words)
+    before = {resolved(path): name for path, name in BatchTables(output).names().items()}
     environment, version, here = settings_in_environment(), software(), Path.cwd()
-    return {
+    tasks = {
         name: LogTask(name, str(log), str(output.resolve()), str(here), command, environment, version)
-        for name, log in zip(unique_names(found), found, strict=True)
+        for name, log in zip(unique_names(found, before), found, strict=True)
     }
+    _check_options(next(iter(tasks.values())))
+    return tasks
 
 
-def _checked_command(words: Sequence[str], log: Path) -> tuple[str, ...]:
-    """The command for each log with its options, as far as they can be checked without one."""
-    from adcbf_cli.commands.batch_work import COMMANDS, command_of
-    from adcbf_cli.core.config import Config
-    from adcbf_cli.io.settings import nearest, resolve_config
+def _command(words: Sequence[str]) -> tuple[str, ...]:
+    """The command for each log, and its options."""
+    from adcbf_cli.commands.batch_work import COMMANDS
+    from adcbf_cli.io.settings import nearest
 
     named = bool(words) and not words[0].startswith("-")
     name, options = (words[0], words[1:]) if named else ("run", words)
     if name not in COMMANDS:
         raise UsageError(f"{name}: no command that runs on each log ({', '.join(COMMANDS)}){nearest(name, COMMANDS)}")
-    given = command_of(name).make_context(f"adcbf {name}", [*options, "--", str(log)]).params
+    return name, *options
+
+
+def _check_options(task: LogTask) -> None:
+    """UsageError for options that no log can be worked on with, as far as they can be told from those of one."""
+    from adcbf_cli.commands.batch_work import command_of
+    from adcbf_cli.core.config import Config
+    from adcbf_cli.io.settings import resolve_config
+
+    name, *options = task.arguments()
+    given = command_of(name).make_context(f"adcbf {name}", [*options, "--", task.log]).params
     if given["output"] is not None:
         raise UsageError("-o behind --: the batch chooses each log's run folder; give -o before --")
-    resolve_config(Config(), given["config"], given["settings"] or ())
-    return name, *options
+    own = set(task.arguments()) - set(task.command)
+    if not any(word.endswith(str(given["config"])) for word in own):  # a file that is another for each log fails there
+        resolve_config(Config(), given["config"], given["settings"] or ())
 
 
 class _Results:
@@ -180,7 +208,8 @@ class _Results:
 
     def take(self, name: str, answer: Row) -> bool:
         """Keeps a worker's answer; whether the log failed."""
-        from adcbf_cli.commands.batch_work import FAILED, REUSED, keep_failure
+        from adcbf_cli.commands.batch_rows import FAILED
+        from adcbf_cli.commands.batch_work import REUSED, keep_failure
         from adcbf_cli.commands.campaign import ERROR
 
         if REUSED in answer:

@@ -7,16 +7,17 @@ import importlib
 import io
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import typer
 
-from adcbf_cli.core.errors import EXIT_DATA_LOST, EXIT_FAILED, EXIT_OK, EXIT_THRESHOLD, EXIT_USAGE, AdcbfError
+from adcbf_cli.commands.batch_rows import FAILED, STATUS, Row, plain_row, read_results, storable
+from adcbf_cli.core.errors import EXIT_FAILED, EXIT_OK, EXIT_USAGE, AdcbfError
 
 COMMANDS = ("run", "cluster", "track", "predict", "evaluate", "plan", "replay")
 """What takes a log and writes a run folder."""
@@ -24,10 +25,8 @@ COMMANDS = ("run", "cluster", "track", "predict", "evaluate", "plan", "replay")
 REUSED = "reused"
 """In a worker's answer: whether the log was finished already."""
 
-STATUS = {EXIT_OK: "done", EXIT_DATA_LOST: "damaged", EXIT_THRESHOLD: "missed"}
-FAILED = "failed"
-
-Row = dict[str, Any]
+_WRITTEN = ("output", "save_calibration")
+"""Options that name what a command writes. All other files that options name are read."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +95,8 @@ def run_log(task: LogTask) -> Row:
         source_sha256, key = _key(task)
     except AdcbfError as error:
         return {REUSED: False, **keep_failure(task, str(error), error.exit_code)}
+    except OSError as error:
+        return {REUSED: False, **keep_failure(task, _in_words(error))}
     found = tables.finished(task.name, key)
     if found is not None:
         return {REUSED: True, **found}
@@ -109,46 +110,39 @@ def keep_failure(task: LogTask, error: str, code: int = EXIT_FAILED, source_sha2
     """Writes down that the log failed, and why; the next batch tries it again."""
     from adcbf_cli.io.batch_tables import BatchTables
 
-    row = _row(task, FAILED, code) | {"error": error, "source_sha256": source_sha256}
-    return BatchTables(Path(task.batch)).write(task.name, None, row, {}, set())
+    row = _row(task, FAILED, code) | {"error": storable(error), "source_sha256": source_sha256}
+    return BatchTables(Path(task.batch)).write(task.name, _place(task), None, row, {}, set())
 
 
 def _keep_results(task: LogTask, code: int, key: str) -> Row:
-    from adcbf_cli.core.evaluation.headlines import is_driving_headline, is_headline
     from adcbf_cli.io.batch_tables import BatchTables
-    from adcbf_cli.io.run_scores import read_scored_run
 
     tables = BatchTables(Path(task.batch))
     folder = tables.run_folder(task.name)
-    run = read_scored_run(folder, task.name)
-    frames, span_s = _extent(folder)
-    row = _row(task, STATUS[code], code) | {
-        "source_sha256": run.source_sha256,
-        "run_folder": folder.relative_to(task.batch).as_posix(),
-        "frames": frames,
-        "span_s": span_s,
-        "warnings": list(run.warnings),
-        "losses": list(run.losses),
-        "thresholds_missed": list(run.thresholds_missed),
-    }
-    with_truth = run.truth is not None
-    headlines = {name for name in run.metrics if is_headline(name, with_truth) or is_driving_headline(name)}
-    return tables.write(task.name, key, row, run.metrics, headlines)
+    _say_where_the_log_is(task, folder)
+    results = read_results(folder, task.command[0])
+    own = {"run_folder": folder.relative_to(task.batch).as_posix()}
+    row = _row(task, STATUS[code], code) | own | results.columns
+    return tables.write(task.name, _place(task), key, row, results.metrics, results.headlines)
 
 
 def _row(task: LogTask, status: str, code: int) -> Row:
-    nothing: Row = dict.fromkeys(("error", "source_sha256", "run_folder", "frames", "span_s"))
-    empty: Row = {name: [] for name in ("warnings", "losses", "thresholds_missed")}
-    return {"path": task.log, "command": " ".join(task.command), "status": status, "exit_code": code} | nothing | empty
+    return plain_row(task.log, " ".join(task.command), status, code)
 
 
-def _extent(folder: Path) -> tuple[int, float | None]:
-    """How many frames the run has, and the seconds from the first to the last."""
-    from adcbf_cli.io.parquet import read_table
+def _place(task: LogTask) -> str:
+    """The log's path from the batch's folder: both may be moved together."""
+    return os.path.relpath(os.path.join(task.directory, task.log), task.batch)
+
+
+def _say_where_the_log_is(task: LogTask, folder: Path) -> None:
+    """In the manifest, which is not written anew where every stage could be reused: the log may have been moved."""
     from adcbf_cli.io.run_folder import RunFolder
 
-    stamps = read_table(RunFolder(folder).table("frames"), ["timestamp_ns"])["timestamp_ns"].to_numpy()
-    return len(stamps), float(stamps[-1] - stamps[0]) / 1e9 if len(stamps) else None
+    manifest = RunFolder(folder).manifest()
+    now = replace(manifest, source=replace(manifest.source, path=os.path.relpath(task.log, folder)))
+    if now != manifest:
+        RunFolder(folder).write_manifest(now)
 
 
 def _take_over(task: LogTask) -> None:
@@ -160,25 +154,35 @@ def _take_over(task: LogTask) -> None:
 
 
 def _key(task: LogTask) -> tuple[str, str]:
-    """The log's hash, and one over all that its results depend on: the log, the command, the files that it names,
-    the settings in the environment, the code. AdcbfError where there is no log."""
+    """The log's hash, and one over all that its results depend on: the log and where it is, the command, the files
+    that it names, the settings in the environment, the code. AdcbfError where there is no log."""
     from adcbf_cli.io.logs import log_files
     from adcbf_cli.io.run_folder import identify_source
 
     source = identify_source(task.log, log_files(Path(task.log)))
-    named = {word: _digest(word) for word in task.arguments()}
-    files = [digest for word, digest in named.items() if digest is not None and word != task.log]
-    parts = [source.sha256, task.command, files, task.environment, task.software]
+    files = [_digest(file) for file in _files_read(task)]
+    parts = [source.sha256, task.log, _place(task), task.command, files, task.environment, task.software]
     return source.sha256, hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
-def _digest(word: str) -> str | None:
-    """The hash of the file that an option names, as `--truth FILE` or `--truth=FILE`; None where it names none."""
-    for path in (word, word.partition("=")[2]):
-        if path and Path(path).is_file():
-            with Path(path).open("rb") as file:
-                return hashlib.file_digest(file, "sha256").hexdigest()
-    return None
+def _files_read(task: LogTask) -> Iterator[Path]:
+    """The files that the command's options name, however they are spelled, and the calibration of KITTI labels."""
+    name, *options = task.arguments()
+    # What cannot be parsed is left out, and fails when the command is run.
+    given = command_of(name).make_context(name, [*options, "--", task.log], resilient_parsing=True).params
+    for option, value in sorted(given.items()):
+        values = value if isinstance(value, list | tuple) else (value,)
+        named = () if option in ("source", *_WRITTEN) else (v for v in values if isinstance(v, str | Path))
+        for file in (Path(text) for text in named if os.path.isfile(text)):
+            yield file
+            beside = file.resolve().parent.parent / "calib" / file.name
+            if beside.is_file():
+                yield beside
+
+
+def _digest(file: Path) -> str:
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _run_command(arguments: Sequence[str]) -> tuple[int, str]:
@@ -201,14 +205,18 @@ def _exit_of(run: Callable[[], Any]) -> tuple[int, str]:
     except SystemExit as stop:
         return _code(stop), ""
     except OSError as error:
-        where = f"{error.filename}: " if error.filename else ""
-        return EXIT_FAILED, f"{where}{error.strerror or error}"
+        return EXIT_FAILED, _in_words(error)
     except Exception as error:
         stopped = error.__cause__ or error.__context__
         if isinstance(stopped, SystemExit):  # a signal that arrived inside compiled code comes out wrapped
             raise stopped from None
         return EXIT_FAILED, in_one_line(error)
     return EXIT_OK, ""
+
+
+def _in_words(error: OSError) -> str:
+    where = f"{error.filename}: " if error.filename else ""
+    return f"{where}{error.strerror or error}"
 
 
 def _code(stop: SystemExit) -> int:

@@ -6,6 +6,7 @@ in the middle of a half-typed command helps nobody.
 
 from __future__ import annotations
 
+import glob
 import os
 import re
 import shlex
@@ -53,6 +54,29 @@ def one_of(*values: str) -> Callable[[typer.Context, str], list[Offer]]:
     return _offers(lambda ctx, incomplete: [(value, "") for value in values])
 
 
+def behind_dashes(line: str) -> str:
+    """The line whose offers are those of `line`: of `adcbf batch LOGS -- COMMAND OPTIONS` that of the command itself,
+    with the logs on it, since topics are asked of them."""
+    before, dashes, after = line.partition(" -- ")
+    words = before.split()
+    if not dashes or words[1:2] != ["batch"]:
+        return line
+    logs = [word for word in words[2:] if not word.startswith("-")]
+    name, space, options = after.lstrip().partition(" ")
+    if name.startswith("-"):
+        name, space, options = "run", " ", after.lstrip()
+    return " ".join([words[0], name, *logs, options]) if space else line
+
+
+@_offers
+def batch_commands(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
+    """Of a batch behind its --; before it there are logs, which the shell offers."""
+    from adcbf_cli.commands.batch_work import COMMANDS
+
+    if "--" in shlex.split(os.environ[LINE]):
+        yield from ((name, "") for name in COMMANDS)
+
+
 @_offers
 def lidar_topics(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
     from adcbf_cli.io.ros_messages import LIDAR_TYPES
@@ -83,13 +107,13 @@ def reference_topics(ctx: typer.Context, incomplete: str) -> Iterator[Offer]:
 
 
 def _topics(types: Iterable[str], prefix: str = "") -> Iterator[Offer]:
-    """Those of the first log on the line. The line itself is looked at: an option without its value, which is what is
-    being completed, ends the parser's work before it comes to the log."""
+    """Those of the first log on the line, or that a pattern there matches. The line itself is looked at: an option
+    without its value, which is what is being completed, ends the parser's work before it comes to the log."""
     from adcbf_cli.io.stored_topics import stored_topics
 
-    words = shlex.split(os.environ[LINE])[2:]
-    found = (stored_topics(path) for path in (Path(word).expanduser() for word in words) if path.exists())
-    for name, kind in next(filter(None, found), {}).items():
+    words = [os.path.expanduser(word) for word in shlex.split(os.environ[LINE])[2:]]
+    logs = (word if os.path.exists(word) else next(glob.iglob(word), None) for word in words)
+    for name, kind in next(filter(None, (stored_topics(Path(log)) for log in logs if log is not None)), {}).items():
         if kind in types:
             yield prefix + name, kind.rpartition("/")[2]
 

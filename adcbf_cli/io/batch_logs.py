@@ -3,59 +3,96 @@
 from __future__ import annotations
 
 import glob
+import os
 import re
 import sys
 import zlib
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from adcbf_cli.core.errors import UsageError
-from adcbf_cli.io.settings import read_text
+from adcbf_cli.io.batch_tables import DATASETS, RUNS
+from adcbf_cli.io.run_folder import MANIFEST
 
 STDIN = "-"
 _MOST_CHARACTERS = 120
-_READ_AS_OTHER_THAN_TEXT = re.compile(r"(?i)[\d.+_TZe-]*|null|nan|inf|true|false|__hive_default_partition__")
+_READ_AS_OTHER_THAN_TEXT = re.compile(
+    r"(?i)[\d.+_TZe-]*|0[xbo][\da-f_]*|[+-]?inf(?:inity)?|epoch|null|nan|true|false|__hive_default_partition__"
+)
 """Partition values that some readers take for numbers, dates or nothing."""
 
 
 def find_logs(words: Sequence[str], list_file: str | None) -> list[Path]:
     """The logs that paths, quoted glob patterns and a list of both name, each once, in the order given.
 
-    list_file: a file with a path or pattern a line, `-` for standard input; empty lines and lines that begin with #
-    say nothing. Paths are relative to the current folder. A path that leads nowhere is kept: its failing is told
-    with the log. UsageError where a pattern matches nothing, or there is no log at all.
+    list_file: a file, or `-` for standard input, with a path or pattern a line, where empty lines and those that begin
+    with # say nothing; or, where it has NULs, as `find -print0` writes them, with one before each. Paths are
+    relative to the current folder. A path that leads nowhere is kept: its failing is told with the log. What adcbf
+    itself wrote is not taken for a log because a pattern matches it. UsageError where a pattern matches nothing
+    else, or there is no log at all.
     """
     if not words and list_file is None:
         raise UsageError("no logs: name them, quote a pattern such as 'logs/*.mcap', or give --from LIST")
-    listed = [] if list_file is None else _lines(list_file)
-    found = {path.resolve(): path for word in (*words, *listed) for path in _expand(word)}
+    listed = [] if list_file is None else _listed(list_file)
+    found = {resolved(path): path for word in (*words, *listed) for path in _expand(word)}
     if not found:
         raise UsageError(f"--from {list_file}: names no log")
     return list(found.values())
 
 
-def _lines(list_file: str) -> list[str]:
-    text = sys.stdin.read() if list_file == STDIN else read_text(Path(list_file))
-    lines = (line.strip() for line in text.splitlines())
+def resolved(path: Path) -> Path:
+    """Without links; as it is, but absolute, where they lead in a circle, or nowhere that can be asked for."""
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError):
+        return path.absolute()
+
+
+def _listed(list_file: str) -> list[str]:
+    try:
+        content = sys.stdin.buffer.read() if list_file == STDIN else Path(list_file).read_bytes()
+    except OSError as error:
+        raise UsageError(f"{list_file}: cannot be read ({error.strerror})") from None
+    if b"\0" in content:
+        return [os.fsdecode(name) for name in content.split(b"\0") if name]
+    lines = (os.fsdecode(line).strip() for line in content.split(b"\n"))
     return [line for line in lines if line and not line.startswith("#")]
 
 
 def _expand(word: str) -> list[Path]:
-    if Path(word).exists() or not glob.has_magic(word):
+    if os.path.exists(word) or not glob.has_magic(word):
         return [Path(word)]
-    found = sorted(glob.glob(word, recursive=True))
+    matches = [Path(name) for name in sorted(glob.glob(word, recursive=True))]
+    found = [path for path in matches if not _is_result(path)]
     if not found:
-        raise UsageError(f"{word}: no file matches this pattern")
-    return [Path(name) for name in found]
+        only = " but what adcbf itself wrote" if matches else ""
+        raise UsageError(f"{word}: no file matches this pattern{only}")
+    return found
 
 
-def unique_names(logs: Iterable[Path]) -> list[str]:
+def _is_result(path: Path) -> bool:
+    """Whether it is a run folder or a batch's, or lies in a run folder."""
+    place = path.absolute()
+    is_batch = all((path / folder).is_dir() for folder in (*DATASETS, RUNS))
+    return is_batch or any(os.path.isfile(folder / MANIFEST) for folder in (place, *place.parents))
+
+
+def unique_names(logs: Iterable[Path], before: Mapping[Path, str]) -> list[str]:
     """A name for each log: its stem, with as many of its folders before it as tell it from the others.
 
-    Letters, digits, `.`, `_` and `-` only; unlike in more than case.
+    Letters, digits, `.`, `_` and `-` only; unlike in more than case. before: the names that logs (by their resolved
+    paths) had already, which they keep.
     """
-    paths = [path.resolve() for path in logs]
+    paths = [resolved(path) for path in logs]
+    names = [before.get(path, name) for path, name in zip(paths, _told_apart(paths), strict=True)]
+    order = sorted(range(len(paths)), key=lambda i: paths[i] not in before)
+    numbered = dict(zip(order, _numbered([names[i] for i in order]), strict=True))
+    return [numbered[i] for i in range(len(paths))]
+
+
+def _told_apart(paths: list[Path]) -> list[str]:
+    """Stems, with as many of their folders before them as it takes; alike where no folder tells them apart."""
     leaves = _leaves(paths)
     depth = [0] * len(paths)
     while True:
@@ -66,7 +103,7 @@ def unique_names(logs: Iterable[Path]) -> list[str]:
         alike = [i for i, name in enumerate(names) if count[name.casefold()] > 1]
         deeper = [i for i in alike if depth[i] < len(_parents(paths[i]))]
         if not deeper:  # what no folder tells apart differs in case, or in what is not safe: it is counted
-            return _numbered([_safe(leaves[i]) if i in alike else name for i, name in enumerate(names)])
+            return [_safe(leaves[i]) if i in alike else name for i, name in enumerate(names)]
         for i in deeper:
             depth[i] += 1
 
@@ -81,7 +118,7 @@ def _parents(path: Path) -> list[str]:
 
 def _leaves(paths: list[Path]) -> list[str]:
     """Stems; names with their suffix where one folder holds two of a stem."""
-    stems = [path.name if path.is_dir() else path.stem for path in paths]
+    stems = [path.name if os.path.isdir(path) else path.stem for path in paths]
     count = Counter((path.parent, stem) for path, stem in zip(paths, stems, strict=True))
     return [path.name if count[path.parent, stem] > 1 else stem for path, stem in zip(paths, stems, strict=True)]
 

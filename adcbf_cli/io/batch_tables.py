@@ -19,10 +19,11 @@ import pyarrow.parquet as pq
 
 from adcbf_cli.core.evaluation.report import Metric
 from adcbf_cli.io.atomic import remove_leftovers
-from adcbf_cli.io.parquet import METADATA_KEY, SCHEMA_VERSION, TableWriter
-from adcbf_cli.io.run_folder import MANIFEST
+from adcbf_cli.io.parquet import METADATA_KEY, SCHEMA_VERSION, TableWriter, table_metadata
+from adcbf_cli.io.run_folder import DRIVING, MANIFEST
 from adcbf_cli.io.run_scores import REPORTS
 from adcbf_cli.io.schemas import SCHEMAS
+from adcbf_cli.io.viz import VIEW_FILES
 
 PART = "part.parquet"
 DATASETS = ("summary", "metrics")
@@ -41,6 +42,12 @@ class BatchTables:
     def run_folder(self, name: str) -> Path:
         return self.folder / RUNS / f"{_PREFIX}{name}"
 
+    def names(self) -> dict[Path, str]:
+        """The paths of the logs that are in the summary, and the names that they go by."""
+        names = [folder.name.removeprefix(_PREFIX) for folder in sorted((self.folder / "summary").glob(f"{_PREFIX}*/"))]
+        places = {name: self._read("summary", name)[0].get("place") for name in names}
+        return {self.folder / place: name for name, place in places.items() if isinstance(place, str)}
+
     def finished(self, name: str, key: str) -> Row | None:
         """The log's row as `write` was given it, if the log is finished under this key; else None."""
         metadata, rows = self._read("summary", name)
@@ -52,15 +59,18 @@ class BatchTables:
         headlines = {metric["metric"]: metric["value"] for metric in metrics if metric["headline"]}
         return {"log": name, **rows[0], "metrics": headlines}
 
-    def write(self, name: str, key: str | None, row: Row, metrics: Mapping[str, Metric], headlines: set[str]) -> Row:
+    def write(
+        self, name: str, place: str, key: str | None, row: Row, metrics: Mapping[str, Metric], headlines: set[str]
+    ) -> Row:
         """Keeps a log's results; returns its row with the headline metrics.
 
-        key: None where it is not to count as finished. row: the columns of `summary`.
+        place: the log's path from the batch's folder. key: None where it is not to count as finished. row: the columns
+        of `summary`.
         """
         for dataset in DATASETS:
             self._part(dataset, name).parent.mkdir(parents=True, exist_ok=True)
             remove_leftovers(self._part(dataset, name).parent)
-        metadata = {"key": key, "made": self._fingerprint(name)}
+        metadata = {"key": key, "made": self._fingerprint(name), "place": place}
         with TableWriter(self._part("metrics", name), "metrics", metadata) as writer:
             writer.write(_metric_columns(metrics, headlines))
         with TableWriter(self._part("summary", name), "summary", metadata) as writer:
@@ -96,12 +106,19 @@ class BatchTables:
         return metadata, table.to_pylist()
 
     def _fingerprint(self, name: str) -> str:
-        """Of the run folder's manifest and reports: another command on the folder changes one of them."""
+        """Of the run folder's manifest and reports, and of which of its other files are there and whole: another
+        command on the folder changes one of them, or a hand that removes or cuts off what it holds."""
+        run = self.run_folder(name)
         digest = hashlib.sha256()
         for file in (MANIFEST, *REPORTS):
-            path = self.run_folder(name) / file
+            path = run / file
             content = path.read_bytes() if path.is_file() else b""
             digest.update(f"{file} {len(content)}\n".encode() + content)
+        tables = (path for place in (".", *DRIVING.values()) for path in sorted((run / place).glob("*.parquet")))
+        views = (run / file for files in VIEW_FILES.values() for file in files)
+        for path in (*tables, *(view for view in views if view.is_file())):
+            whole = path.suffix != ".parquet" or table_metadata(path) is not None
+            digest.update(f"{path.relative_to(run).as_posix()} {whole}\n".encode())
         return digest.hexdigest()
 
 

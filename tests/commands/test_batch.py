@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import pandas as pd
 import pytest
 
 from adcbf_cli import app
+from adcbf_cli.commands.batch_work import LogTask, _key
 from tests.commands.short_logs import write_short_log
 
 CLOCKED = ("timings.parquet", ".lock")
@@ -114,15 +116,17 @@ def test_the_dataset_says_the_same_and_leads_to_the_run_folders(mixed: Path) -> 
 def test_the_tables_of_all_run_folders_are_one_dataset(mixed: Path) -> None:
     import duckdb
 
-    tracks = mixed / "b.batch" / "runs" / "*" / "tracks.parquet"
-    query = f"SELECT DISTINCT log FROM read_parquet('{tracks}', hive_partitioning = true) ORDER BY log"
-    assert [log for (log,) in duckdb.sql(query).fetchall()] == ["cut", "mon-walk", "tue-walk", "whole"]
+    page = (Path(__file__).parents[2] / "docs" / "batch.md").read_text()
+    query = page.partition("    SELECT log, count")[2].partition(";")[0].replace("sample.batch", str(mixed / "b.batch"))
+    shutil.copytree(mixed / "b.batch" / "runs" / "log=whole", mixed / "b.batch" / "runs" / "log=noise")
+    found = duckdb.sql(f"SELECT log FROM (SELECT log, count{query})").fetchall()
+    assert sorted(log for (log,) in found) == ["cut", "mon-walk", "tue-walk", "whole"], "not what has failed since"
 
 
 def test_killed_and_started_again_it_repeats_nothing_and_gives_the_same(logs: Path) -> None:
 
     def command(folder: str) -> list[str]:
-        return ["batch", "*.csv", "--jobs", "2", "-o", folder, "--", "cluster"]
+        return ["batch", "*.csv", "--jobs", "2", "-o", folder, "--", "run"]
 
     assert adcbf(*command("calm.batch"), cwd=logs).returncode == 0
     batch = logs / "hurt.batch"
@@ -141,6 +145,7 @@ def test_killed_and_started_again_it_repeats_nothing_and_gives_the_same(logs: Pa
     assert f"; {len(finished)} of them finished before; " in again.stderr
     assert {name: (batch / "runs" / name / "clusters.parquet").stat().st_mtime_ns for name in finished} == stamps
     assert contents(batch) == contents(logs / "calm.batch")
+    assert all(row["metrics"]["clusters.per_frame"] == 2 for row in rows(batch).values())
 
 
 def wait_until_unlocked(batch: Path, within_s: float = 20.0) -> None:
@@ -221,41 +226,167 @@ def test_interrupted_it_leaves_nothing_half_made_and_goes_on(logs: Path) -> None
     assert adcbf(*command, cwd=logs).returncode == 0
 
 
+def reused(*command: str, cwd: Path) -> int:
+    """How many logs a batch finds finished."""
+    done = adcbf("batch", *command, cwd=cwd)
+    assert done.returncode == 0, done.stderr
+    last = done.stderr.splitlines()[-1]
+    return int(last.partition("; ")[2].split()[0]) if "finished before" in last else 0
+
+
 def test_what_a_log_depends_on_decides_what_is_repeated(logs: Path) -> None:
     """By content: the log, the files that the command names, the command, and the run folder as it was left."""
     settings = logs / "settings.yaml"
     settings.write_text("read: {object_radius_m: 0.2}\n")
-    command = [
-        "batch",
-        "walk0.csv",
-        "walk1.csv",
-        "-o",
-        "b.batch",
-        "-j",
-        "2",
-        "--",
-        "cluster",
-        "--config",
-        "settings.yaml",
-    ]
-
-    def reused(*more: str) -> int:
-        done = adcbf(*command, *more, cwd=logs)
-        assert done.returncode == 0, done.stderr
-        last = done.stderr.splitlines()[-1]
-        return int(last.partition("; ")[2].split()[0]) if "finished before" in last else 0
-
-    assert reused() == 0
+    command = ("walk0.csv", "walk1.csv", "-o", "b.batch", "-j", "2", "--", "cluster", "-csettings.yaml")
+    assert reused(*command, cwd=logs) == 0
     os.utime(logs / "walk0.csv")
-    assert reused() == 2
+    assert reused(*command, cwd=logs) == 2
     objects(logs / "walk0.csv", speed_mps=0.1)
-    assert reused() == 1
+    assert reused(*command, cwd=logs) == 1
     settings.write_text("read: {object_radius_m: 0.3}\n")
-    assert reused() == 0
+    assert reused(*command, cwd=logs) == 0
     other = ("--set", "read.object_radius_m=0.4")
     assert adcbf("cluster", "b.batch/runs/log=walk1", *other, cwd=logs).returncode == 0
-    assert reused() == 1
-    assert reused(*other) == 0
+    assert reused(*command, cwd=logs) == 1
+    assert reused(*command, *other, cwd=logs) == 0
+
+
+def test_a_run_folder_that_has_lost_something_is_made_whole(logs: Path) -> None:
+    command = ("walk0.csv", "walk1.csv", "-o", "b.batch", "--", "cluster", "--viz", "foxglove")
+    assert reused(*command, cwd=logs) == 0
+    run = {name: logs / "b.batch" / "runs" / f"log={name}" for name in ("walk0", "walk1")}
+    whole = {name: contents(folder) for name, folder in run.items()}
+    (run["walk0"] / "clusters.parquet").unlink()
+    (run["walk1"] / "viz.foxglove.mcap").unlink()
+    assert reused(*command, cwd=logs) == 0
+    assert {name: contents(folder) for name, folder in run.items()} == whole
+    frames = run["walk1"] / "frames.parquet"
+    frames.write_bytes(frames.read_bytes()[:-9])
+    assert reused(*command, cwd=logs) == 1
+    assert {name: contents(folder) for name, folder in run.items()} == whole
+
+
+def test_a_log_that_was_moved_is_told_of_where_it_is(logs: Path) -> None:
+    assert reused("walk0.csv", "-o", "b.batch", "--", "cluster", cwd=logs) == 0
+    (logs / "attic").mkdir()
+    (logs / "walk0.csv").rename(logs / "attic" / "walk0.csv")
+    clusters = logs / "b.batch" / "runs" / "log=walk0" / "clusters.parquet"
+    stamp = clusters.stat().st_mtime_ns
+    moved = ("attic/walk0.csv", "-o", "b.batch", "--", "cluster")
+    assert reused(*moved, cwd=logs) == 0
+    assert clusters.stat().st_mtime_ns == stamp, "its content is the same"
+    assert rows(logs / "b.batch")["walk0"]["path"] == "attic/walk0.csv"
+    assert json.loads((clusters.parent / "run.json").read_text())["source"]["path"] == "../../../attic/walk0.csv"
+    assert reused(*moved, cwd=logs) == 1
+
+
+def test_the_results_are_those_of_the_command_whatever_ran_before_in_the_folder(logs: Path) -> None:
+    driving = ("--start", "0,0", "--goal", "2,0", "-p", "pure-pursuit")
+    earlier = adcbf("batch", "walk0.csv", "-o", "b.batch", "--", "run", "--fail-on", "tracks.confirmed>1", cwd=logs)
+    assert earlier.returncode == 4
+    for name, *options in (("cluster",), ("replay", *driving), ("evaluate",)):
+        here, alone = logs / "b.batch", logs / f"{name}.batch"
+        for folder in (here, alone):
+            assert reused("walk0.csv", "-o", folder.name, "--", name, *options, cwd=logs) == 0
+        told = [rows(folder)["walk0"] for folder in (here, alone)]
+        for row in told:
+            row["metrics"] = {metric: value for metric, value in row["metrics"].items() if "solve" not in metric}
+        assert told[0] == told[1]
+        own = [pd.read_parquet(folder / "metrics" / "log=walk0" / "part.parquet") for folder in (here, alone)]
+        assert [*own[0]["metric"]] == [*own[1]["metric"]]
+    assert (here / "runs" / "log=walk0" / "report.json").exists(), "what was there is left there"
+
+
+TASK = {"directory": ".", "environment": (), "software": "adcbf"}
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("evaluate", "-tt.truth.txt"),
+        ("evaluate", "-t", "t.truth.txt"),
+        ("run", "--truth={stem}.truth.txt"),
+        ("replay", "--reference", "t.truth.txt"),
+        ("predict", "--calibration", "t.truth.txt"),
+        ("cluster", "-ct.truth.txt"),
+    ],
+)
+def test_every_file_that_an_option_names_counts_by_its_content(
+    options: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In its folder as KITTI has them, labels have a calibration beside it."""
+    labels, calibration = tmp_path / "labels" / "t.truth.txt", tmp_path / "calib" / "t.truth.txt"
+    for file in (labels, calibration):
+        file.parent.mkdir()
+        file.write_text("before")
+    log = objects(labels.with_name("t.csv"))
+    monkeypatch.chdir(labels.parent)
+    task = LogTask(name="t", log=log.name, batch=str(tmp_path / "b.batch"), command=options, **TASK)  # type: ignore[arg-type]
+    keys = [_key(task)]
+    for file in (labels, calibration, log):
+        file.write_text("after")
+        keys.append(_key(task))
+    assert len(set(keys)) == 4
+    log.with_name("other.csv").write_text("of no concern")
+    assert _key(task) == keys[-1]
+
+
+def test_a_log_that_comes_later_renames_no_other(logs: Path) -> None:
+    objects(logs / "mon" / "walk.csv")
+    assert reused("*/walk.csv", "-o", "b.batch", "--", "cluster", cwd=logs) == 0
+    objects(logs / "tue" / "walk.csv", speed_mps=0.2)
+    assert reused("*/walk.csv", "-o", "b.batch", "--", "cluster", cwd=logs) == 1
+    assert list(rows(logs / "b.batch")) == ["walk", "tue-walk"]
+
+
+def test_what_a_command_writes_does_not_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(objects(tmp_path / "t.csv").parent)
+    command = ("predict", "--save-calibration", "learnt.json")
+    task = LogTask(name="t", log="t.csv", batch=str(tmp_path / "b.batch"), command=command, **TASK)  # type: ignore[arg-type]
+    before = _key(task)
+    Path("learnt.json").write_text("{}")
+    assert _key(task) == before
+
+
+def test_logs_with_names_of_any_kind_and_ways_that_lead_nowhere(logs: Path) -> None:
+    odd = os.fsdecode(b"gr\xf6sse [1].csv")
+    (logs / "walk0.csv").rename(logs / odd)
+    (logs / "loop.csv").symlink_to("loop.csv")
+    listed = "\0".join((odd, "loop.csv", f"{'x' * 300}.csv", "walk1.csv", ""))
+    command = ["batch", "--from", "-", "-o", "b.batch", "--", "cluster"]
+    done = subprocess.run(
+        [sys.executable, "-m", "adcbf_cli", *command],
+        cwd=logs,
+        input=os.fsencode(listed),
+        capture_output=True,
+        check=False,
+    )
+    told = done.stderr.decode()
+    assert done.returncode == 1, told
+    assert "Traceback" not in told
+    found = list(rows(logs / "b.batch").values())
+    assert [row["status"] for row in found] == ["done", "failed", "failed", "done"]
+    assert found[0]["path"] == "gr\\udcf6sse [1].csv"
+    assert found[1]["log"] == "loop"
+    assert all("Error:" not in row["error"] for row in found[1:3]), "each is told in plain words"
+    summary = pd.read_parquet(logs / "b.batch" / "summary")
+    assert set(summary["path"]) == {row["path"] for row in found}
+
+
+def test_a_file_of_settings_beside_each_log(logs: Path) -> None:
+    """Where one is missing or bad, that log fails, and it alone."""
+    (logs / "walk1.yaml").write_text("read: {object_radius_m: 0.3}\n")
+    (logs / "walk2.yaml").write_text("read: {radius_m: 0.3}\n")
+    options = ("--", "cluster", "--config", "{dir}/{stem}.yaml")
+    done = adcbf("batch", "walk0.csv", "walk1.csv", "walk2.csv", *options, cwd=logs)
+    assert done.returncode == 1
+    found = rows(logs / "adcbf.batch")
+    assert [row["status"] for row in found.values()] == ["failed", "done", "failed"]
+    manifest = json.loads((logs / "adcbf.batch" / "runs" / "log=walk1" / "run.json").read_text())
+    assert manifest["config"]["read"]["object_radius_m"] == 0.3
+    assert "walk0.yaml: cannot be read" in found["walk0"]["error"]
+    assert "radius_m" in found["walk2"]["error"]
 
 
 def test_logs_that_are_no_longer_named_leave_the_tables(logs: Path) -> None:
@@ -306,6 +437,7 @@ def test_exit_codes(logs: Path) -> None:
         (["walk0.csv", "--", "fly"], "fly: no command that runs on each log"),
         (["walk0.csv", "--", "run", "-o", "elsewhere"], "give -o before --"),
         (["walk0.csv", "--", "run", "--wide", "8"], "No such option"),
+        (["walk0.csv", "--", "--config", "gone.yaml"], "gone.yaml: cannot be read"),
         (["walk0.csv", "--", "--set", "perception.rnge_m=3"], "did you mean perception.range_m?"),
         (["walk0.csv", "--engine", "cloud"], "must be one of processes, ray"),
         (["walk0.csv", "--address", "head:6379"], "needs --engine ray"),

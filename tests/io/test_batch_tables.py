@@ -29,9 +29,9 @@ def row(**rest: Any) -> dict[str, Any]:
 def tables(tmp_path: Path) -> BatchTables:
     """Two logs, one of which failed."""
     found = BatchTables(tmp_path / "b.batch")
-    found.write("a", "key a", row(), METRICS, {"detection.recall"})
+    found.write("a", "../a.mcap", "key a", row(), METRICS, {"detection.recall"})
     nothing = {"source_sha256": None, "run_folder": None, "frames": None, "span_s": None, "warnings": []}
-    found.write("b", None, row(status="failed", exit_code=1, error="no LiDAR", **nothing), {}, set())
+    found.write("b", "../b.mcap", None, row(status="failed", exit_code=1, error="no LiDAR", **nothing), {}, set())
     return found
 
 
@@ -62,10 +62,17 @@ def test_pandas_and_pyarrow_read_them_as_one_dataset(tables: BatchTables) -> Non
 
 
 def test_a_finished_log_has_its_row_again(tables: BatchTables) -> None:
-    written = tables.write("a", "key a", row(), METRICS, {"detection.recall"})
+    written = tables.write("a", "../a.mcap", "key a", row(), METRICS, {"detection.recall"})
     assert tables.finished("a", "key a") == written
     assert written["metrics"] == {"detection.recall": 0.5}
     assert list(written)[:2] == ["log", "path"]
+
+
+def test_logs_are_known_by_where_they_are(tables: BatchTables) -> None:
+    assert tables.names() == {tables.folder / "../a.mcap": "a", tables.folder / "../b.mcap": "b"}
+    (tables.folder / "summary" / "log=b" / "part.parquet").write_bytes(b"torn")
+    assert list(tables.names().values()) == ["a"]
+    assert BatchTables(tables.folder / "not_there").names() == {}
 
 
 def test_what_is_not_finished(tables: BatchTables) -> None:
