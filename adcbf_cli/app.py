@@ -86,7 +86,10 @@ def main() -> None:
     if "_ADCBF_COMPLETE" in os.environ:  # a completion script asks
         from typer.completion import get_completion_inspect_parameters
 
+        from adcbf_cli.commands.completing import LINE, behind_dashes
+
         get_completion_inspect_parameters()  # is what registers the shells' ways to ask
+        os.environ[LINE] = behind_dashes(os.environ.get(LINE, ""))
     try:
         app(prog_name="adcbf")
     except AdcbfError as error:
