@@ -183,10 +183,11 @@ def _set_up(
     from adcbf_cli.core.vehicles.vehicle import Vehicle
     from adcbf_cli.io.logs import is_object_list
     from adcbf_cli.io.tables import read_tracks
-    from adcbf_cli.io.truth import read_truth
+    from adcbf_cli.io.truth import read_truth, read_truth_option
 
     spec = str(job.log) if driving.truth is None and is_object_list(job.log) else driving.truth
-    place_truth = None if spec is None else read_truth(spec, job.log)
+    read = read_truth if driving.truth is None else read_truth_option
+    place_truth = None if spec is None else read(spec, job.log)
     vehicle = Vehicle.from_config(job.config.vehicle)
     with patience(COMPILING):
         for name in names:  # an unusable setting is told before the stages run

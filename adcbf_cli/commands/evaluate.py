@@ -70,14 +70,15 @@ def score_run(shared: Shared, truth: str | None, fail_on: list[str], with_facts:
     from adcbf_cli.core.evaluation.thresholds import check_names, missed, parse_threshold
     from adcbf_cli.io.report import remove_page, report_document, write_report
     from adcbf_cli.io.score_blocks import write_score_blocks
-    from adcbf_cli.io.truth import read_truth
+    from adcbf_cli.io.truth import read_truth_option
 
     thresholds = [parse_threshold(text) for text in fail_on]
     job = plan_job(shared)
     drives = stored_drives(job)
     if thresholds:
         check_names(thresholds, [*possible_metrics(job.config.evaluation), *drives.metric_names()])
-    place_truth = None if truth is None else read_truth(truth, job.log)  # before the work: a bad file costs no time
+    # Before the work: a bad file costs no time.
+    place_truth = None if truth is None else read_truth_option(truth, job.log)
     outcome = run_stages(job, "predict", shared.force)
     report = score(job, outcome, place_truth, outcome.notes)
     comparisons = drives.compare(outcome, report)
@@ -143,7 +144,10 @@ def possible_metrics(config: EvaluationConfig) -> list[str]:
 
 
 def placed_truth(place_truth: PlaceTruth, job: Job, outcome: Outcome, notes: Notes) -> Truth:
-    """The truth at the run's frames, in its world."""
+    """The truth at the run's frames, in its world. Warns where it is the robot itself."""
+    import numpy as np
+
+    from adcbf_cli.core.evaluation.own_pose import rides_along
     from adcbf_cli.core.evaluation.scene import truth_in_world
     from adcbf_cli.io.parquet import read_table
     from adcbf_cli.io.tables import read_clusters
@@ -157,9 +161,14 @@ def placed_truth(place_truth: PlaceTruth, job: Job, outcome: Outcome, notes: Not
         world_frame=outcome.manifest.selection.get("world_frame"),
         kitti_first_frame=job.config.evaluation.truth_first_frame,
     )
-    truth = place_truth(context, notes)
-    poses = ((record.stamp_ns, record.world_from_sensor) for record in read_clusters(outcome.folder.path))
-    return truth_in_world(truth, poses, notes)
+    poses = [(record.stamp_ns, record.world_from_sensor) for record in read_clusters(outcome.folder.path)]
+    truth = truth_in_world(place_truth(context, notes), poses, notes)
+    stamps, transforms = np.array([stamp for stamp, _ in poses]), np.array([pose for _, pose in poses])
+    riders = rides_along(truth, stamps, transforms)
+    if riders:
+        what = f"object {riders[0]} of it" if len(riders) < len(set(truth.track_id.tolist())) else "it"
+        notes.warn(f"{truth.source}: {what} moves as the sensor does; is it the robot's own pose?")
+    return truth
 
 
 def _provenance(

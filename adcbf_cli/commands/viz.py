@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from adcbf_cli.commands.terminal import progress, say
-from adcbf_cli.core.errors import AdcbfError, UsageError
+from adcbf_cli.core.errors import UsageError
 
 if TYPE_CHECKING:
     from adcbf_cli.commands.stages import Outcome
 
 
 def check_viz(names: Sequence[str] | None) -> None:
-    """UsageError for a format that there is not; AdcbfError for one whose package is missing. Asked before the work."""
+    """UsageError for a format that there is not, or whose package is missing. Asked before the work."""
     from importlib.util import find_spec
 
     from adcbf_cli.io.viz import VIEW_FILES
@@ -23,7 +23,7 @@ def check_viz(names: Sequence[str] | None) -> None:
         if name not in VIEW_FILES:
             raise UsageError(f"--viz {name!r}: must be one of {', '.join(VIEW_FILES)}")
     if "rrd" in (names or ()) and find_spec("rerun") is None:
-        raise AdcbfError("--viz rrd needs Rerun's SDK, which is not installed: pip install 'adcbf[rerun]'")
+        raise UsageError("--viz rrd needs Rerun's SDK, which is not installed: pip install 'adcbf[rerun]'")
 
 
 def write_viz(outcome: Outcome, names: Sequence[str] | None) -> None:

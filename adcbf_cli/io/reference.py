@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from adcbf_cli.core.errors import AdcbfError, UsageError
+from adcbf_cli.core.errors import AdcbfError, UsageError, given_by_option
 from adcbf_cli.core.frames import clean_frame_id
 from adcbf_cli.core.types import FloatArray, Notes
 from adcbf_cli.io.detect import match_topic
@@ -22,23 +22,28 @@ _MOST_M = 1e7
 
 
 def check_reference(spec: str) -> None:
-    """UsageError where `spec` can be no reference path, told before long work."""
+    """UsageError where `spec` can be no reference path, or is a file that holds none; told before long work."""
     name = spec.removeprefix(TOPIC_PREFIX)
     if not name or (name == spec and not Path(spec).is_file()):
         raise UsageError(
             f"--reference {spec!r}: there is no such file; give a CSV, or topic:/name of a Path in the log"
         )
+    if name == spec:
+        with given_by_option():
+            _from_csv(Path(spec))
 
 
 def read_reference(spec: str, log: Path, world_frame: str | None) -> FloatArray:
     """(m, 2) x and y in the world frame from `spec`: a CSV with a header naming x_m and y_m (or x and y), or
     `topic:/name`, of which the first non-empty Path counts.
 
-    UsageError where the spec names nothing of the kind, AdcbfError where the content is no path.
+    UsageError where the spec names nothing of the kind, or a file that is no path; AdcbfError where the topic's content
+    is none.
     """
     if spec.startswith(TOPIC_PREFIX):
         return _from_topic(spec.removeprefix(TOPIC_PREFIX), log, world_frame)
-    return _from_csv(Path(spec))
+    with given_by_option():
+        return _from_csv(Path(spec))
 
 
 def _from_csv(path: Path) -> FloatArray:

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 
-from adcbf_cli.core.errors import AdcbfError, UsageError
+from adcbf_cli.core.errors import AdcbfError, UsageError, given_by_option
 from adcbf_cli.core.types import FloatArray, IntArray, Notes, Truth
 from adcbf_cli.io.log_base import printable
 from adcbf_cli.io.poses import check_pose_topic, checked_ns, read_pose_topic, read_tum, seconds_to_ns
@@ -78,6 +78,14 @@ def read_truth(spec: str, log: Path) -> PlaceTruth:
         f"{path}: not a ground truth that is known (CSV with a header, KITTI tracking labels, TUM trajectory, "
         "or topic:/name); docs/metrics.md describes them"
     )
+
+
+def read_truth_option(spec: str, log: Path) -> PlaceTruth:
+    """As `read_truth`, of what --truth says: a file that holds no truth is wrong usage."""
+    if spec.startswith(TOPIC_PREFIX):
+        return read_truth(spec, log)
+    with given_by_option():
+        return read_truth(spec, log)
 
 
 def load_truth(spec: str, context: TruthContext, notes: Notes) -> Truth:

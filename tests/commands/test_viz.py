@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
+from adcbf_cli.io.run_folder import RunFolder
+from adcbf_cli.io.viz.scenes import show_of
 from tests.commands.short_logs import write_short_log
 from tests.io.viz.viz_runs import adcbf, rows
 
@@ -118,6 +120,18 @@ def test_views_of_what_is_computed_anew_are_removed(run: Path, tmp_path: Path) -
     assert [name for name in FILES if (folder / name).exists()] == []
 
 
+def test_a_vehicle_is_as_wide_as_it_was_driven(driven_run: Path, tmp_path: Path) -> None:
+    """run.json is not written again where all tables stay valid."""
+    folder = tmp_path / "people.adcbf"
+    shutil.copytree(driven_run, folder)
+    way = ("--start", "0,0", "--goal", "6,0", "-p", "pure-pursuit", "--set", "vehicle.body_radius_m=0.2")
+    code, _, err = adcbf("replay", folder, *way)
+    assert code == 0, err
+    run = RunFolder(folder)
+    show, _ = show_of(run, run.manifest())
+    assert show.body_radius_m == {"replay": 0.2}
+
+
 def test_a_damaged_table_leaves_no_view(run: Path, tmp_path: Path) -> None:
     folder = copied(run, tmp_path)
     for name in FILES:
@@ -165,7 +179,7 @@ def test_without_reruns_sdk_the_user_is_told_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)  # what importing it meets where it is not installed
     code, _, err = adcbf("run", log, "-o", tmp_path / "x.adcbf", "--viz", "rrd")
-    assert code == 1
+    assert code == 2
     assert "pip install 'adcbf[rerun]'" in err
     assert err.count("\n") == 1
     assert not (tmp_path / "x.adcbf").exists()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from adcbf_cli.core.errors import AdcbfError, UsageError
-from adcbf_cli.io.reference import read_reference
+from adcbf_cli.io.reference import check_reference, read_reference
 from tests.io.conftest import T0, LogMaker
 
 
@@ -26,17 +26,20 @@ def test_csv_columns_are_found_by_name(tmp_path: Path, header: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "error", "words"),
+    ("text", "words"),
     [
-        ("a,b\n1,2\n", UsageError, "columns x_m and y_m"),
-        ("x_m,y_m\n1,2\n3,nan\n", AdcbfError, "row 3"),
-        ("x_m,y_m\n1,2\n3\n", AdcbfError, "row 3"),
-        ("x_m,y_m\n1e99,2\n", AdcbfError, "row 2"),
+        ("a,b\n1,2\n", "columns x_m and y_m"),
+        ("x_m,y_m\n1,2\n3,nan\n", "row 3"),
+        ("x_m,y_m\n1,2\n3\n", "row 3"),
+        ("x_m,y_m\n1e99,2\n", "row 2"),
     ],
 )
-def test_what_is_no_path_is_named(tmp_path: Path, text: str, error: type[Exception], words: str) -> None:
-    with pytest.raises(error, match=words):
-        read_reference(csv_file(tmp_path, text), tmp_path, None)
+def test_what_is_no_path_is_named_before_any_work(tmp_path: Path, text: str, words: str) -> None:
+    spec = csv_file(tmp_path, text)
+    with pytest.raises(UsageError, match=words):
+        read_reference(spec, tmp_path, None)
+    with pytest.raises(UsageError, match=words):
+        check_reference(spec)
 
 
 def test_a_missing_file_is_a_usage_error(tmp_path: Path) -> None:
