@@ -12,6 +12,7 @@ from adcbf_cli.commands.options import Json
 from adcbf_cli.core.errors import EXIT_DATA_LOST, UsageError
 
 if TYPE_CHECKING:
+    from adcbf_cli.core.types import Loss
     from adcbf_cli.io.html_report.gather import RunPage
 
 MOST_RUNS = 8
@@ -61,7 +62,7 @@ def report(
         print_json(_document(target, pages, drawn))
     else:
         _tell(target, pages, drawn)
-    if any(record.losses for page in pages for record in page.manifest.stages.values()):
+    if any(map(_losses, pages)):
         raise typer.Exit(EXIT_DATA_LOST)
 
 
@@ -100,11 +101,18 @@ def _names(runs: list[Path]) -> list[str]:
     return short if len(set(short)) == len(runs) else [str(run).rstrip(os.sep) for run in runs]
 
 
+def _losses(page: RunPage) -> list[Loss]:
+    """What of a run's log could not be read."""
+    return [loss for record in page.manifest.stages.values() for loss in record.losses]
+
+
 def _tell(target: Path, pages: list[RunPage], drawn: list[Path]) -> None:
-    from adcbf_cli.commands.terminal import say
+    from adcbf_cli.commands.terminal import say, told_loss
 
     print(target)
     for page in pages:
+        for loss in _losses(page):
+            say(f"{page.name}: {told_loss(loss)}")
         for section, (reason, command) in page.missing.items():
             say(f"{page.name}: no {section}: {reason}" + (f"; to add them: {command}" if command else ""))
     if drawn:

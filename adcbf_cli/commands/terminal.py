@@ -10,26 +10,49 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
 if TYPE_CHECKING:
-    from adcbf_cli.core.types import Notes
+    from adcbf_cli.core.types import Loss, Notes
 
 T = TypeVar("T")
 
 
 _SOON_S = 2.0
+_AGAIN_S = 0.5
 
-COMPILING = "compiling the solver for this machine; this happens once"
+
+class Compiling:
+    """What takes long where the fast solver has to be compiled; loading a compiled one may take long too, on a busy
+    machine, but is no compiling."""
+
+    text = "compiling the solver for this machine; this happens once"
+
+    @staticmethod
+    def goes_on() -> bool:
+        loop = sys.modules.get("adcbf_cli.core.planning.solvers.sqp_loop")
+        entry = getattr(loop, "entry", None)
+        return entry is not None and entry.cache_info().currsize > 0 and bool(entry().stats.cache_misses)
+
+
+COMPILING = Compiling()
 
 
 @contextmanager
-def patience(text: str) -> Iterator[None]:
-    """Says `text` where the block takes longer than a person expects."""
-    timer = threading.Timer(_SOON_S, say, (text,))
-    timer.daemon = True
-    timer.start()
+def patience(what: str | Compiling) -> Iterator[None]:
+    """Says `what` where the block takes longer than a person expects."""
+    done = threading.Event()
+
+    def watch() -> None:
+        if done.wait(_SOON_S):
+            return
+        while isinstance(what, Compiling) and not what.goes_on():
+            if done.wait(_AGAIN_S):
+                return
+        say(what.text if isinstance(what, Compiling) else what)
+
+    threading.Thread(target=watch, daemon=True).start()
     try:
         yield
     finally:
-        timer.cancel()
+        done.set()
 
 
 def print_json(document: Any) -> None:
@@ -42,13 +65,17 @@ def say(text: str) -> None:
     print(f"adcbf: {text}", file=sys.stderr)
 
 
+def told_loss(loss: Loss) -> str:
+    """What of the input could not be read, and how much where that is known."""
+    return f"lost: {loss.what}" + ("" if loss.count is None else f" ({loss.count})")
+
+
 def show_notes(notes: Notes) -> None:
     """Warnings, losses and counted repairs, a line each."""
     for warning in notes.warnings:
         say(f"warning: {warning}")
     for loss in notes.losses:
-        count = "" if loss.count is None else f" ({loss.count})"
-        say(f"lost: {loss.what}{count}")
+        say(told_loss(loss))
     for name, number in sorted(notes.counters.items()):
         say(f"note: {name.replace('_', ' ')}: {number}")
 

@@ -207,14 +207,17 @@ def test_what_the_end_needs_is_checked_at_the_beginning(log: Path, tmp_path: Pat
     )
     folder = tmp_path / "run"
     for option, file, code in (
-        ("--calibration", bad, 1),
-        ("--calibration", endless, 1),
+        ("--calibration", bad, 2),
+        ("--calibration", endless, 2),
+        ("--calibration", SAMPLE / "truth.csv", 2),
+        ("--truth", bad, 2),
         ("--save-calibration", tmp_path / "absent" / "c.json", 2),
         ("--save-calibration", tmp_path, 2),
     ):
-        done = adcbf("predict", log, "-o", folder, option, file)
+        done = adcbf("run" if option == "--truth" else "predict", log, "-o", folder, option, file)
         assert done.returncode == code, done.stderr
         assert done.stderr.count("adcbf: error") == 1
+        assert str(file) in done.stderr
         assert not folder.exists(), "nothing was computed first"
 
 
@@ -289,6 +292,9 @@ def test_a_cut_log_is_read_to_the_cut_and_says_so_each_time(log: Path, tmp_path:
     assert SHORT_SCANS * 0.3 < frames < SHORT_SCANS * 0.7
     again = adcbf("predict", tmp_path / "cut.adcbf")
     assert again.returncode == 3, "reused clusters are from a damaged log still"
+    page = adcbf("report", tmp_path / "cut.adcbf", "--no-figures", "--no-points")
+    assert page.returncode == 3
+    assert "cut.adcbf: lost:" in page.stderr
 
 
 def test_json_is_one_document_on_stdout(log: Path, tmp_path: Path) -> None:
