@@ -116,7 +116,7 @@ def run_closed_loop(
     with RunRows(folder, "runs", key) as rows:
         remove_leftovers(folder)
         if rows.opened == "replaced":
-            say(f"{folder}: held runs of another scene, setting or version; they are replaced")
+            say(f"{folder}: held runs of another scene, setting, --knowledge, --record or version; they are replaced")
             _remove_results(folder)
         found = run_campaign(tasks, run_and_record, rows, options.jobs, stem)
         results = [

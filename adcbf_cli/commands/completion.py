@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
-import enum
 from typing import Annotated
 
 import typer
 
+from adcbf_cli.commands import completing
 from adcbf_cli.commands.completion_scripts import SCRIPTS
-
-
-class Shell(enum.StrEnum):
-    bash = "bash"
-    zsh = "zsh"
-    fish = "fish"
+from adcbf_cli.core.errors import UsageError
 
 
 def completion(
-    shell: Annotated[Shell, typer.Argument(metavar="SHELL", show_default=False, help="bash, zsh or fish.")],
+    shell: Annotated[
+        str,
+        typer.Argument(
+            metavar="SHELL",
+            show_default=False,
+            help="bash, zsh or fish.",
+            autocompletion=completing.one_of(*SCRIPTS),
+        ),
+    ],
 ) -> None:
     """Print the script that completes commands in a shell.
 
@@ -32,4 +35,6 @@ def completion(
 
         adcbf completion fish > ~/.config/fish/completions/adcbf.fish
     """
-    print(SCRIPTS[shell.value], end="")
+    if shell not in SCRIPTS:
+        raise UsageError(f"{shell}: no shell that adcbf completes in ({', '.join(SCRIPTS)})")
+    print(SCRIPTS[shell], end="")

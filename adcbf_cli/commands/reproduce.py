@@ -37,7 +37,9 @@ def reproduce(
         "reproduction"
     ),
     jobs: Annotated[int, typer.Option("--jobs", "-j", min=1, max=256, help="Processes at once.")] = 1,
-    seeds: Annotated[str, typer.Option("--seeds", metavar="A:B", help="Seeds of the runs, B not included.")] = "0:20",
+    seeds: Annotated[
+        str, typer.Option("--seeds", metavar="A:B|N,...", help="Seeds of the runs, B not included.")
+    ] = "0:20",
     json_output: Json = False,
 ) -> None:
     """Compute the paper's tables and figures anew.

@@ -61,9 +61,11 @@ def simulate(
         adcbf simulate crossings --closed-loop --seeds 0:1000 --jobs 8
     """
     from adcbf_cli.core.errors import UsageError
+    from adcbf_cli.core.simulation.parsing import parse_scenario
     from adcbf_cli.io.scenarios import read_scenario
 
     text, stem = read_scenario(scenario)
+    parse_scenario(text, scenario, seed)  # here, what is wrong with it is told of the name that was given
     if options.closed_loop:
         if truth is not None:
             raise UsageError("--truth goes with a scripted log; --record all writes each run's log with its truth")

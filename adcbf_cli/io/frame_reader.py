@@ -48,15 +48,19 @@ class _Losses:
     def tell(self, notes: Notes, pose: str) -> None:
         if self.no_pose:
             notes.warn(
-                f"{self.no_pose} scans dropped: no pose from {pose} at their time "
+                f"{_scans(self.no_pose)} dropped: no pose from {pose} at their time "
                 f"(first at {self.first_no_pose_ns / 1e9:.3f} s); --pose chooses another source"
             )
         if self.backwards:
-            notes.warn(f"{self.backwards} scans dropped: their stamps do not increase")
+            notes.warn(f"{_scans(self.backwards)} dropped: their stamps do not increase")
         if self.unfused:
-            notes.warn(f"{self.unfused} scans had no partner of the other LiDAR within {FUSE_TOLERANCE_NS * 1e-9} s")
+            notes.warn(f"{_scans(self.unfused)} had no partner of the other LiDAR within {FUSE_TOLERANCE_NS * 1e-9} s")
         if self.uncorrected:
-            notes.warn(f"{self.uncorrected} scans not corrected for motion: poses do not cover all their points")
+            notes.warn(f"{_scans(self.uncorrected)} not corrected for motion: poses do not cover all their points")
+
+
+def _scans(number: int) -> str:
+    return f"{number} scan{'' if number == 1 else 's'}"
 
 
 @dataclass

@@ -78,7 +78,11 @@ def _text_kind(path: Path) -> Recognised | None:
         return _yaml_kind(path, lines)
     words = lines[0].replace(",", " ").split()
     if "," in lines[0] and "track_id" in words:
-        return Recognised("a ground-truth table (CSV)", "give it to evaluate: --truth FILE")
+        return Recognised(
+            "a list of objects (CSV)",
+            f"ground truth for evaluate (--truth {path}), or a log of its own: adcbf run {path}; "
+            f"adcbf replay {path} --start X,Y --goal X,Y",
+        )
     if lines[0].startswith(("P0:", "calib_time:")) and any("velo" in line for line in lines):
         return Recognised("a KITTI calibration", "it is read beside the labels of the same name (calib/ beside label/)")
     if len(words) in (17, 18) and words[2].isalpha() and _numbers(words[3:]):

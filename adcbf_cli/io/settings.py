@@ -97,8 +97,9 @@ def _merge(values: dict[str, Any], more: Nested, origin: str) -> None:
     for stage, fields in more.items():
         for name, value in fields.items():
             if f"{stage}.{name}" not in keys:
-                hint = nearest(f"{stage}.{name}", keys) or "; `adcbf config dump` lists them all"
-                raise UsageError(f"{origin}: unknown key {stage}.{name}{hint}")
+                key = f"{stage}.{name}" if name else stage
+                hint = nearest(key, keys) or "; `adcbf config dump` lists them all"
+                raise UsageError(f"{origin}: unknown key {key}{hint}")
             values[stage][name] = value
 
 

@@ -203,7 +203,7 @@ def test_another_setting_replaces_the_runs_and_nothing_else(collided: Path, tmp_
     options = ("--closed-loop", "--seeds", "100002", "-p", "pure-pursuit", "--knowledge", "perfect")
     done = simulate(tmp_path / "tiny.yaml", *options, "-o", folder)
     assert done.exit_code == 0, done.stderr
-    assert "held runs of another scene, setting or version; they are replaced" in done.stderr
+    assert "held runs of another scene, setting, --knowledge, --record or version; they are replaced" in done.stderr
     assert list(rows_of(folder)) == ["pure-pursuit-100002"]
     assert [row["knowledge"] for row in table_of(folder)] == ["perfect"]
     assert all(path.read_text() == "mine" for path in mine)

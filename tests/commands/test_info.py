@@ -138,6 +138,7 @@ def test_a_cut_log_ends_with_the_code_for_lost_data(tmp_path: Path, capsys: pyte
     ("name", "content", "words"),
     [
         ("gt.csv", "timestamp_ns,track_id,x_m,y_m\n1,2,3,4\n", "--truth"),
+        ("people.csv", "timestamp_ns,track_id,x_m,y_m\n1,2,3,4\n", "people.csv --start X,Y --goal X,Y"),
         ("0001.txt", "0 1 Car 0 0 -1.5 1 2 3 4 1.5 1.6 3.7 1 2 3 0.1\n", "--truth"),
         ("pose.tum", "1.0 1 2 3 0 0 0 1\n", "--pose FILE"),
         ("poses.txt", "1 0 0 1 0 1 0 2 0 0 1 3\n", "KITTI pose file"),

@@ -105,6 +105,9 @@ def test_a_scan_is_logged_after_the_poses_that_place_it(scenario: Path, tmp_path
         (["crossing.yaml", "-o", "a.mcap", "--truth", "a.mcap"], "name the same file"),
         (["."], "cannot be read"),
         (["binary.yaml"], "not a text file"),
+        (["rows.csv"], "rows.csv: a scenario is a mapping"),
+        (["open.yaml"], "open.yaml:2: not valid YAML"),
+        (["open.yaml", "--closed-loop"], "open.yaml:2: not valid YAML"),
     ],
 )
 def test_mistakes_get_one_line(
@@ -112,6 +115,8 @@ def test_mistakes_get_one_line(
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00\x01")
+    (tmp_path / "rows.csv").write_text("a,b\n")
+    (tmp_path / "open.yaml").write_text("ego: [1\n")
     before = sorted(path.name for path in tmp_path.iterdir())
     result = run(*arguments)
     assert isinstance(result.exception, UsageError)

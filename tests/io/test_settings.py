@@ -43,6 +43,7 @@ def test_other_environment_variables_are_not_settings() -> None:
             "--set: unknown key tracking.gate_probabilty; did you mean tracking.gate_prob",
         ),
         (["traking.filter=ekf"], "did you mean tracking.filter?"),
+        (["foo=1"], "--set: unknown key foo; `adcbf config dump` lists them all"),
         (["nonsense"], "expected stage.key=value"),
         (["prediction.steps=-1"], "prediction.steps: input should be greater than or equal to 1 (got -1)"),
         (["prediction.step_s=.nan"], "prediction.step_s"),

@@ -57,7 +57,7 @@ def check_names(thresholds: Iterable[Threshold], names: Iterable[str]) -> None:
     for threshold in thresholds:
         if threshold.metric in known or threshold.metric.startswith(OPEN_ENDED):
             continue
-        close = difflib.get_close_matches(threshold.metric, known, n=1, cutoff=0.4)
+        close = difflib.get_close_matches(threshold.metric, known, n=1, cutoff=0.7)
         hint = f"; did you mean {close[0]}?" if close else "; docs/metrics.md lists them"
         raise UsageError(f"--fail-on: unknown metric {threshold.metric}{hint}")
 

@@ -211,4 +211,6 @@ def test_an_unknown_metric_names_the_nearest() -> None:
     names = ["prediction.rmse_x_m", "detection.recall"]
     with pytest.raises(UsageError, match=r"unknown metric prediction.rmse_x; did you mean prediction.rmse_x_m\?"):
         check_names([parse_threshold("prediction.rmse_x>1")], names)
+    with pytest.raises(UsageError, match=r"unknown metric no\.such\.metric; docs/metrics\.md lists them"):
+        check_names([parse_threshold("no.such.metric>1")], [*names, "hota.det_re"])
     check_names([parse_threshold("detection.recall.Car<0.9"), parse_threshold("detection.recall<0.9")], names)
