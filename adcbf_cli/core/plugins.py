@@ -15,16 +15,20 @@ import difflib
 import enum
 import re
 import sys
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib.metadata import Distribution, EntryPoint, distributions
+from importlib.metadata import Distribution, EntryPoint, PackageNotFoundError, distribution, distributions
 from typing import Any
 
-from adcbf_cli.core.errors import UsageError
+from adcbf_cli.core.errors import AdcbfError, UsageError
 
 _NAME = re.compile("[a-z0-9][a-z0-9_-]*")
 """Names become parts of metrics' and folders' names."""
+
+_STOPPED = 128
+"""Exit codes above it are those of a process that a signal told to leave, wherever it was just then."""
 
 
 class Kind(enum.StrEnum):
@@ -79,19 +83,49 @@ def find_plugin(kind: Kind, name: str, built_in: Collection[str]) -> Plugin:
     return found[0]
 
 
-def load_plugin(plugin: Plugin) -> Any:
-    """What the plugin's target names. UsageError with the reason where that cannot be had."""
-    try:
+def load_plugin(plugin: Plugin) -> Callable[..., Any]:
+    """What the plugin's target names, to be called. UsageError where that cannot be had; and when it is called,
+    where it raises, or returns what is not of its kind."""
+    with _named(plugin, f"cannot be loaded from {plugin.target!r}"):
         made = EntryPoint(plugin.name, plugin.target, plugin.kind).load()
-    except Exception as error:  # whatever a stranger's module does when it is imported
-        reason = " ".join(str(error).split()) or "no reason given"
-        raise UsageError(
-            f"{plugin} cannot be loaded from {plugin.target!r} ({type(error).__name__}: {reason:.200}); "
-            "mend or uninstall that package"
-        ) from error
     if not callable(made):
         raise UsageError(f"{plugin}: {plugin.target!r} is a {type(made).__name__}, where something to call is wanted")
-    return made
+    wanted, attributes = _RETURNS.get(plugin.kind, ("", ()))
+
+    def call(*given: Any) -> Any:
+        with _named(plugin, "failed"):
+            found = made(*given)
+        if not all(hasattr(found, attribute) for attribute in attributes):
+            raise malformed(plugin, f"it returns a {type(found).__name__}, where a {wanted} is wanted")
+        return found
+
+    return call
+
+
+_RETURNS = {
+    Kind.CLUSTERER: ("Grouping", ("label", "probability")),
+    Kind.MOTION_MODEL: (
+        "MotionModel",
+        ("dimension", "linear", "propagate", "jacobian", "process_noise", "initial_variance"),
+    ),
+}
+"""What is returned to those that call, and what it has; of planners, `make_planner` makes sure itself."""
+
+
+@contextmanager
+def _named(plugin: Plugin, what: str) -> Iterator[None]:
+    """Whatever a stranger's code raises, as one line that names it."""
+    try:
+        yield
+    except AdcbfError:
+        raise
+    except (Exception, SystemExit) as error:
+        if isinstance(error, SystemExit) and isinstance(error.code, int) and error.code > _STOPPED:
+            raise
+        reason = " ".join(str(error).split()) or "no reason given"
+        raise UsageError(
+            f"{plugin} {what} ({type(error).__name__}: {reason:.200}); mend or uninstall that package"
+        ) from error
 
 
 def malformed(plugin: Plugin, what: str) -> UsageError:
@@ -112,11 +146,20 @@ def _declared(path: tuple[str, ...]) -> tuple[Plugin, ...]:
     for package in distributions():
         try:
             offers = _offers(package)
+            if offers:
+                name = offers[0].distribution
+                found.setdefault(re.sub("[-_.]+", "-", name).lower(), _offers(_first(package, name)))
         except Exception:  # one package's damaged metadata must not stand in the way of all others
             continue
-        if offers:
-            found.setdefault(offers[0].distribution.lower(), offers)
     return tuple(plugin for offers in found.values() for plugin in offers)
+
+
+def _first(package: Distribution, name: str) -> Distribution:
+    """The package of this name that imports find: one that offers something may be behind one that does not."""
+    try:
+        return distribution(name)
+    except PackageNotFoundError:
+        return package
 
 
 def _offers(package: Distribution) -> list[Plugin]:

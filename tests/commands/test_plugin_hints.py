@@ -33,6 +33,16 @@ def test_the_built_in_planner_is_taken_and_the_other_told(
     assert len(said.err.splitlines()) == lines
 
 
-def test_help_looks_for_no_plugins() -> None:
-    code = "import sys, adcbf_cli.app; print('adcbf_cli.core.plugins' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "False\n"
+@pytest.mark.parametrize("command", [[], ["replay"], ["batch"]])
+def test_help_looks_for_no_plugins(command: list[str]) -> None:
+    code = f"""
+import sys
+from adcbf_cli.app import app
+try:
+    app({[*command, "--help"]!r})
+finally:
+    print("adcbf_cli.core.plugins" in sys.modules, file=sys.stderr)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "Usage:" in done.stdout
+    assert done.stderr == "False\n"

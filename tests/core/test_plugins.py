@@ -106,6 +106,9 @@ def test_packages_that_are_not_asked_for_are_not_imported(installed: Installed) 
     ("source", "target", "why"),
     [
         ("raise RuntimeError('boom\\nin two lines')", "faulty:make", r"RuntimeError: boom in two lines"),
+        ("import sys\nsys.exit('no licence')", "faulty:make", r"cannot be loaded .*SystemExit: no licence"),
+        ("def make(*_): return {}['gain']", "faulty:make", r"failed \(KeyError: 'gain'\)"),
+        ("import sys\ndef make(*_): sys.exit(3)", "faulty:make", r"failed \(SystemExit: 3\)"),
         ("import not_there", "faulty:make", r"ModuleNotFoundError: No module named 'not_there'"),
         ("x = 1", "faulty:make", r"AttributeError: .*make"),
         ("x = 1", "nowhere:make", r"ModuleNotFoundError: No module named 'nowhere'"),
@@ -122,6 +125,37 @@ def test_what_cannot_be_loaded_is_one_line_that_names_the_package(
         planner("odd")
     assert "the planner 'odd' of faulty 0.3" in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_a_signal_ends_the_process_also_in_a_strangers_code(installed: Installed) -> None:
+    installed.package("slow", "import sys\ndef make(*_): sys.exit(143)", planners="slow = slow:make")
+    with pytest.raises(SystemExit) as stop:
+        planner("slow")
+    assert stop.value.code == 143
+
+
+@pytest.mark.parametrize(
+    ("body", "why"),
+    [("return None", "returns a NoneType, where a Grouping is wanted"), ("return 1 / 0", "failed .ZeroDivisionError")],
+)
+def test_a_clusterer_that_fails_or_gives_nothing_is_named(installed: Installed, body: str, why: str) -> None:
+    installed.package("grouper", f"def group(*_): {body}", "0.3", clusterers="mine = grouper:group")
+    cluster = plugin_clusterer("mine")
+    with pytest.raises(UsageError, match=f"the clusterer 'mine' of grouper 0.3.* {why}"):
+        cluster(np.zeros((4, 2)), PerceptionConfig(), 2, None)
+
+
+@pytest.mark.parametrize(
+    ("body", "why"),
+    [
+        ("return {}", "returns a dict, where a MotionModel is wanted"),
+        ("raise OSError('gone')", "failed .OSError: gone"),
+    ],
+)
+def test_a_model_that_cannot_be_made_is_named(installed: Installed, body: str, why: str) -> None:
+    installed.package("models", f"def still(*_): {body}", "0.3", motion_models="mine = models:still")
+    with pytest.raises(UsageError, match=f"the motion model 'mine' of models 0.3.* {why}"):
+        model("mine")
 
 
 def test_two_packages_with_one_name_are_both_named(installed: Installed) -> None:
@@ -146,8 +180,11 @@ def test_of_a_package_that_lies_there_twice_the_first_counts(
     older = Installed(tmp_path_factory.mktemp("older"))
     older.package("tools", "", "1.0", planners="one = tools:make")
     monkeypatch.setattr(sys, "path", [*sys.path, str(older.folder)])
+    older.package("more_tools", "", "1.0", planners="gone-since = more_tools:make")
     installed.package("tools", "", "2.0", planners="one = tools:make")
+    installed.package("more.tools", "", "2.0")
     assert find_plugin(Kind.PLANNER, "one", PLANNERS).version == "2.0"
+    assert [plugin.name for plugin in plugins(Kind.PLANNER)] == ["one"]
 
 
 def test_what_is_built_in_is_not_replaced_and_the_other_is_known(installed: Installed) -> None:
