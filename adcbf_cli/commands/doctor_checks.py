@@ -12,7 +12,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, metadata, requires, version
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
+
+if TYPE_CHECKING:
+    from adcbf_cli.core.plugins import Plugin
 
 State = Literal["ok", "absent", "warning", "failed"]
 """absent: an extra that is not installed. warning: something goes without, or is done otherwise. failed: required."""
@@ -150,15 +153,21 @@ def _solvers() -> Iterator[Check]:
         try:
             with patience(COMPILING if name == "sqp" else f"solver {name}: loading"):
                 found = run_self_test(predictions, config)
-            detail, problems = f"plans past what crosses, {found.clearance_m:.2f} m clear", found.problems
+            detail, problems, remarks = _clear(found.clearance_m), found.problems, found.remarks
         except Exception as error:  # a shared library that does not load may raise anything
-            detail, problems = "", (_in_words(error),)
+            detail, problems, remarks = "", (_in_words(error),), ()
+        package = {"sqp": "numba", "piqp": "piqp"}.get(name, "casadi")
         if problems:
             bad: State = "warning" if name in ("ipopt", "fatrop") else "failed"  # the oracles
-            package = {"sqp": "numba", "piqp": "piqp"}.get(name, "casadi")
             yield Check(f"solver {name}", bad, "; ".join(problems), f"pip install --upgrade {package}")
+        elif remarks:
+            yield Check(f"solver {name}", "warning", "; ".join((*remarks, detail)), f"pip install {package}")
         else:
             yield Check(f"solver {name}", "ok", detail)
+
+
+def _clear(clearance_m: float) -> str:
+    return f"plans past what crosses, {clearance_m:.2f} m clear"
 
 
 def _compiled() -> Iterator[Check]:
@@ -186,11 +195,11 @@ def _compiled() -> Iterator[Check]:
 
 
 def _plugins() -> Iterator[Check]:
-    """Whether what other packages offer can be had; nothing of adcbf's own depends on it."""
+    """Whether what other packages offer can be used; nothing of adcbf's own depends on it."""
     from adcbf_cli.core.config import CLUSTERERS, MOTION_MODELS
     from adcbf_cli.core.errors import AdcbfError
     from adcbf_cli.core.planning.presets import RESERVED
-    from adcbf_cli.core.plugins import Kind, find_plugin, load_plugin, plugins
+    from adcbf_cli.core.plugins import Kind, find_plugin, plugins
 
     taken = {Kind.PLANNER: RESERVED, Kind.CLUSTERER: CLUSTERERS, Kind.MOTION_MODEL: MOTION_MODELS}
     for kind, built_in in taken.items():
@@ -201,11 +210,35 @@ def _plugins() -> Iterator[Check]:
                 yield Check(name, "warning", f"of {package}: that name is built in", "give it another name there")
                 continue
             try:
-                load_plugin(find_plugin(kind, plugin.name, built_in))
+                _use(find_plugin(kind, plugin.name, built_in))
             except AdcbfError as error:
-                yield Check(name, "warning", str(error), f"mend or uninstall {plugin.distribution}")
+                wrong = str(error)
+            except (Exception, SystemExit) as error:  # whatever a stranger's code does
+                wrong = f"{plugin}: {_in_words(error)}"
             else:
                 yield Check(name, "ok", f"of {package}")
+                continue
+            yield Check(name, "warning", wrong, f"mend or uninstall {plugin.distribution}")
+
+
+def _use(plugin: Plugin) -> None:
+    """Puts it to work, once, on the self-test's scene. Raises whatever it does; AdcbfError for a plan that is none."""
+    from adcbf_cli.core.config import Config
+    from adcbf_cli.core.planning.planner import Plan
+    from adcbf_cli.core.plugins import Kind, malformed
+    from adcbf_cli.core.self_test import plan_scene, predict_scene
+    from adcbf_cli.core.types import Notes
+
+    settings: dict[Kind, dict[str, Any]] = {
+        Kind.PLANNER: {},
+        Kind.CLUSTERER: {"perception": {"clusterer": plugin.name}},
+        Kind.MOTION_MODEL: {"tracking": {"model": plugin.name}},
+    }
+    predictions = predict_scene(Config.model_validate(settings[plugin.kind]))
+    if plugin.kind is Kind.PLANNER:
+        plan = plan_scene(predictions, Config(), plugin.name, Notes())
+        if not isinstance(plan, Plan):
+            raise malformed(plugin, f"`plan` returns a {type(plan).__name__}, where a Plan is wanted")
 
 
 def _self_test() -> Iterator[Check]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from adcbf_cli.core.config import Config
 from adcbf_cli.core.perception.pipeline import Perception
-from adcbf_cli.core.planning.planner import Plan, Situation
+from adcbf_cli.core.planning.planner import Outcome, Plan, Situation
 from adcbf_cli.core.planning.presets import make_planner
 from adcbf_cli.core.planning.reference import ReferencePath
 from adcbf_cli.core.prediction.predictor import Predictor
@@ -32,15 +32,20 @@ NEAR_M, NEAR_MPS = 0.1, 0.3
 """What the tracker may be off at the end of so short a scene, several times what it is."""
 
 
+PROGRESS_M = 1.0
+"""How far the plan gets at least: farther than braking takes, less than any way past the post."""
+
+
 @dataclass(frozen=True, slots=True)
 class SelfTest:
     """What came out: errors of the post's track in position (m) and velocity (m/s), the plan's smallest distance (m)
-    between vehicle and post, and what is wrong, in words; empty where nothing is."""
+    between vehicle and post, and what is wrong, in words; empty where nothing is. remarks: the planner's warnings."""
 
     position_error_m: float
     velocity_error_mps: float
     clearance_m: float
     problems: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
 
 
 def predict_scene(config: Config) -> Predictions:
@@ -61,11 +66,12 @@ def run_self_test(predictions: Predictions, config: Config, planner: str = "ad-c
     step_s = np.arange(1, config.prediction.steps + 1) * config.prediction.step_s
     off_m = predictions.position_m[0, 0, :2] - (START_M + VELOCITY_MPS * (now_s + step_s[0]))
     off_mps = predictions.velocity_mps[0, 0] - VELOCITY_MPS
-    plan = _plan(predictions, config, planner)
+    notes = Notes()
+    plan = plan_scene(predictions, config, planner, notes)
     post_m = START_M + VELOCITY_MPS * (now_s + config.planning.step_s * np.arange(len(plan.poses)))[:, None]
     gap_m = np.hypot(*(plan.poses[:, :2] - post_m).T) - POST_RADIUS_M - config.vehicle.body_radius_m
     found = float(np.hypot(*off_m)), float(np.hypot(*off_mps)), float(gap_m.min())
-    return SelfTest(*found, _problems(*found, plan))
+    return SelfTest(*found, _problems(*found, plan), tuple(notes.warnings))
 
 
 def _problems(position_error_m: float, velocity_error_mps: float, clearance_m: float, plan: Plan) -> tuple[str, ...]:
@@ -73,15 +79,16 @@ def _problems(position_error_m: float, velocity_error_mps: float, clearance_m: f
         (not position_error_m <= NEAR_M, f"the post's track is {position_error_m:.2f} m off"),
         (not velocity_error_mps <= NEAR_MPS, f"the post's track is {velocity_error_mps:.2f} m/s off"),
         (not np.isfinite(plan.inputs).all(), "the plan's inputs are not numbers"),
+        (plan.outcome is not Outcome.SOLVED, f"the plan is not solved, but {plan.outcome}"),
+        (not plan.poses[-1, 0] >= PROGRESS_M, f"the plan gets only {plan.poses[-1, 0]:.2f} m ahead"),
         (not clearance_m > 0, f"the plan comes {-clearance_m:.2f} m into the post"),
     )
     return tuple(text for is_wrong, text in wrong if is_wrong)
 
 
-def _plan(predictions: Predictions, config: Config, planner: str) -> Plan:
-    """From the sensor's place, at the path's speed, along a path across the post's way."""
-    notes = Notes()
-    knowledge = Knowledge(notes)
+def plan_scene(predictions: Predictions, config: Config, planner: str, notes: Notes) -> Plan:
+    """From the sensor's place, at the path's speed, along a path across the post's way. notes: the planner's."""
+    knowledge = Knowledge(Notes())
     knowledge.update(predictions)
     planning, here = config.planning, np.zeros(3)
     seen = knowledge.obstacles(

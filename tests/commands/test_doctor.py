@@ -14,7 +14,10 @@ import pytest
 
 from adcbf_cli.commands import doctor_checks
 from adcbf_cli.core.config import Config
+from adcbf_cli.core.planning.problem import Solution, SolverStatus
+from adcbf_cli.core.planning.solvers import base as solvers
 from adcbf_cli.core.planning.solvers.base import SOLVERS
+from adcbf_cli.core.planning.solvers.sqp import SqpSolver
 from adcbf_cli.core.self_test import (
     POST_RADIUS_M,
     SPEED_MPS,
@@ -86,6 +89,38 @@ def test_missing_system_libraries_and_broken_plugins_are_told_and_are_no_failure
     assert found["self-test"]["state"] == "ok"
 
 
+def test_plugins_are_put_to_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What can be imported may still not be made, plan nothing, or leave the process."""
+    (tmp_path / "strange.py").write_text("""
+import sys
+from types import SimpleNamespace
+
+def planner(plan):
+    return lambda name, *_: SimpleNamespace(name=name, plan=plan)
+
+idle = planner(lambda situation: None)
+leaves = planner(lambda situation: sys.exit(4))
+
+def greedy(name, vehicle):
+    return None
+
+def group(cells_m, config, min_cluster_size, returns):
+    return cells_m[7, 7]
+""")
+    info = tmp_path / "strange-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: strange\nVersion: 1.0\n")
+    names = "idle = strange:idle\nleaves = strange:leaves\ngreedy = strange:greedy\n"
+    (info / "entry_points.txt").write_text(f"[adcbf.planners]\n{names}[adcbf.clusterers]\ngroup = strange:group\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    found = {check.name: check for check in doctor_checks._plugins()}
+    assert {check.state for check in found.values()} == {"warning"}
+    assert "the planner 'idle' of strange 1.0: `plan` returns a NoneType" in found["planner idle"].detail
+    assert "the planner 'leaves' of strange 1.0: SystemExit: 4" in found["planner leaves"].detail
+    assert "the planner 'greedy' of strange 1.0 failed (TypeError" in found["planner greedy"].detail
+    assert "the clusterer 'group' of strange 1.0 failed (IndexError" in found["clusterer group"].detail
+
+
 @pytest.mark.parametrize(
     ("name", "fits", "state", "text"),
     [
@@ -107,6 +142,25 @@ def test_the_self_test_notices_a_planner_that_does_not_look_ahead() -> None:
     predictions = predict_scene(Config())
     assert run_self_test(predictions, Config(), "ad-cbf-mpc").problems == ()
     assert any("into the post" in text for text in run_self_test(predictions, Config(), "mpc-dc").problems)
+
+
+def test_the_self_test_notices_a_solver_that_never_solves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The vehicle then brakes, and keeps clear of the post by standing."""
+    failing = Solution(np.zeros((Config().planning.steps, 2)), SolverStatus.FAILED, 1, np.inf)
+    monkeypatch.setattr(SqpSolver, "solve", lambda *_: failing)
+    found = run_self_test(predict_scene(Config()), Config())
+    assert found.clearance_m > 0
+    assert any("not solved, but" in text for text in found.problems)
+    assert any("m ahead" in text for text in found.problems)
+
+
+def test_a_solver_that_another_took_the_place_of_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(solvers, "has_numba", lambda: False)
+    found = {check.name: check for check in doctor_checks._solvers()}
+    assert found["solver sqp"].state == "warning"
+    assert "piqp takes the place of the solver sqp" in found["solver sqp"].detail
+    assert found["solver sqp"].advice == "pip install numba"
+    assert found["solver piqp"].state == "ok"
 
 
 def test_the_self_tests_vehicle_would_hit_the_post_if_it_drove_on() -> None:
