@@ -56,6 +56,8 @@ def main() -> None:
     parser.add_argument("--results", type=Path, default=HERE / "results", metavar="FOLDER")
     results: Path = parser.parse_args().results
     results.mkdir(parents=True, exist_ok=True)
+    print("## Batch\n")
+    print(run("batch.py", "--json", str(results / "batch.json")), flush=True)  # with all cores, unlike what follows
     measuring.pin_to_one_core()
     machine = measuring.machine()
     print(

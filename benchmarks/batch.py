@@ -3,9 +3,9 @@
     python benchmarks/batch.py [--copies N] [--log LOG] [--processes 1 2] [--json FILE]
 
 `adcbf batch` as a user calls it, from its start to its end, on copies of one log; each time into a new folder, so that
-nothing is there already. The same with a list of one object instead of each log: what is left then is what starting
-the engine, its processes and the libraries costs. Rounds are taken in turn; the fastest of each counts, since the
-machine can only make it slower.
+nothing is there already. The same with lists of one object, as many as there are processes, so that each of them
+starts: what is left then is what starting the engine, its processes and the libraries costs. Rounds are taken in turn;
+the fastest of each counts, since the machine can only make it slower.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -50,13 +50,13 @@ def copies(log: Path, count: int, folder: Path) -> Path:
     return folder
 
 
-def measure(ways: Sequence[Way], logs: Path, options: Sequence[str], rounds: int, scratch: Path) -> dict[Way, float]:
-    """The fastest round of each way, the ways in turn."""
+def measure(logs: Mapping[Way, Path], options: Sequence[str], rounds: int, scratch: Path) -> dict[Way, float]:
+    """The fastest round of each way on the logs in its folder, the ways in turn."""
     found: dict[Way, float] = {}
     for number in range(rounds):
-        for way in ways:
-            folder = scratch / f"{logs.name}-{way.engine}-{way.processes}-{number}.batch"
-            found[way] = min(found.get(way, float("inf")), way.wall_s(logs, folder, options))
+        for way, given in logs.items():
+            folder = scratch / f"{given.name}-{way.engine}-{way.processes}-{number}.batch"
+            found[way] = min(found.get(way, float("inf")), way.wall_s(given, folder, options))
             shutil.rmtree(folder)
     return found
 
@@ -93,9 +93,9 @@ def main() -> None:
         logs = copies(given.log, given.copies, scratch / "logs")
         tiny = scratch / "one.csv"
         tiny.write_text(ONE_OBJECT, encoding="utf-8")
-        empty = copies(tiny, 1, scratch / "empty")
-        start = measure(ways, empty, [], given.rounds, scratch)
-        work = measure(ways, logs, options, given.rounds, scratch)
+        tiny_ones = {count: copies(tiny, count, scratch / f"tiny{count}") for count in {*given.processes}}
+        start = measure({way: tiny_ones[way.processes] for way in ways}, [], given.rounds, scratch)
+        work = measure(dict.fromkeys(ways, logs), options, given.rounds, scratch)
     rows = table(ways, work, start, given.copies)
     document = {"machine": measuring.machine(), "log": given.log.name, "copies": given.copies, "rows": rows}
     measuring.write_json(given.json, document)

@@ -33,6 +33,26 @@ def test_what_starting_costs_is_told_apart_from_the_logs(script: ModuleType) -> 
     assert [row["speed_up"] for row in rows] == [1.0, pytest.approx(22 / 13)]
 
 
+def test_each_way_is_measured_on_its_own_logs(
+    script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The fastest of the rounds counts, and each begins with nothing there."""
+    ways = [script.Way("processes", count) for count in (1, 2)]
+    log = objects(tmp_path / "walk.csv")
+    logs = {way: script.copies(log, way.processes, tmp_path / f"tiny{way.processes}") for way in ways}
+    seen = []
+
+    def wall_s(way: object, given: Path, folder: Path, options: list[str]) -> float:
+        folder.mkdir()
+        seen.append((way, len(list(given.iterdir()))))
+        return 10.0 - len(seen)
+
+    monkeypatch.setattr(script.Way, "wall_s", wall_s)
+    assert script.measure(logs, [], 2, tmp_path) == {ways[0]: 7.0, ways[1]: 6.0}
+    assert seen == [(ways[0], 1), (ways[1], 2)] * 2
+    assert not list(tmp_path.glob("*.batch"))
+
+
 def test_one_round(tmp_path: Path) -> None:
     log, figures = objects(tmp_path / "walk.csv"), tmp_path / "figures.json"
     options = ["--log", str(log), "--copies", "1", "--rounds", "1", "--processes", "1", "--json", str(figures)]
