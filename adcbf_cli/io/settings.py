@@ -73,8 +73,9 @@ def first_problem(error: ValidationError, prefix: str = "") -> str:
     """The first finding of a pydantic error as one line: where, what, and what it got."""
     finding = error.errors(include_url=False)[0]
     where = ".".join(str(part) for part in finding["loc"])
+    named = f"{where}: " if where else ""  # without, it is the whole that is wrong
     got = "" if finding["type"] in _SELF_EXPLAINING else f" (got {finding['input']!r:.60})"
-    return f"{prefix}{where}: {finding['msg'][0].lower()}{finding['msg'][1:]}{got}"
+    return f"{prefix}{named}{finding['msg'][0].lower()}{finding['msg'][1:]}{got}"
 
 
 def read_text(path: Path) -> str:

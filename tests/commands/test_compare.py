@@ -114,7 +114,7 @@ def test_blocks_of_another_report_are_not_used(folder: Path, tmp_path: Path) -> 
     [
         (["main"], 2, "at least one more run folder"),
         (["main", "main"], 2, "given twice"),
-        (["main", "nowhere"], 1, "nowhere: not a run folder"),
+        (["main", "nowhere"], 2, "nowhere: not a run folder"),
         (["main", "unscored"], 1, "adcbf evaluate unscored"),
         (["main", "broken"], 1, "broken/report.json: unreadable"),
         (["main", "huge"], 1, "huge/report.json: unreadable"),

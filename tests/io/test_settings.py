@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 import yaml
+from pydantic import ValidationError
 
 from adcbf_cli.core.config import Config
 from adcbf_cli.core.errors import UsageError
-from adcbf_cli.io.settings import known_keys, resolve_config
+from adcbf_cli.io.settings import first_problem, known_keys, resolve_config
 
 
 def test_later_layers_win(tmp_path: Path) -> None:
@@ -108,3 +109,9 @@ def test_every_setting_says_its_unit_or_has_none() -> None:
     keys = known_keys()
     assert len(keys) == len(set(keys)) > 30
     assert "tracking.gate_probability" in keys
+
+
+def test_a_finding_on_the_whole_has_no_place() -> None:
+    with pytest.raises(ValidationError) as error:
+        Config.model_validate_json("{")
+    assert first_problem(error.value).startswith("invalid JSON")
