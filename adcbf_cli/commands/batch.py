@@ -242,7 +242,9 @@ def _finish(tables: Any, results: _Results, as_json: bool) -> None:
     rows = results.rows()
     gone = tables.remove_others(row["log"] for row in rows)
     if gone:
-        say(f"{len(gone)} logs of an earlier batch are not among these, and no longer in its tables: {gone[0]} ...")
+        what = "1 log" if len(gone) == 1 else f"{len(gone)} logs"
+        more = " ..." if len(gone) > 1 else ""
+        say(f"no longer in the tables, since not among these: {what} of an earlier batch: {gone[0]}{more}")
     write_text_atomically(tables.folder / JSON_LINES, "".join(_line(row) + "\n" for row in rows))
     counts = Counter(row["status"] for row in rows)
     if as_json:
@@ -266,4 +268,4 @@ def _summary(folder: Path, rows: list[Row], counts: Counter[str], reused: int) -
         f"{counts[status]} {status}" for status in ("done", "damaged", "missed", "failed") if counts[status]
     )
     before = f"; {reused} of them finished before" if reused else ""
-    return f"{len(rows)} logs: {told}{before}; {folder}"
+    return f"{len(rows)} log{'' if len(rows) == 1 else 's'}: {told}{before}; {folder}"
