@@ -6,7 +6,7 @@ header. Chunks are compressed with zstd; another release of that library may com
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -74,24 +74,30 @@ class LogWriter:
             if (scan.offset_ns < 0).any():
                 raise ValueError("a point's time must not lie before its scan's stamp")
             rows["t"] = scan.offset_ns
+        fields = {name: (4 * place, layout[name].str) for place, name in enumerate(names)}
+        self.write_points(scan.topic, self.header(scan.stamp_ns, scan.frame_id), rows, fields, log_ns)
+
+    def write_points(
+        self, topic: str, header: Any, rows: np.ndarray, fields: Mapping[str, tuple[int, str]], log_ns: int
+    ) -> None:
+        """A PointCloud2 of packed rows (n,) of a structured type; fields: by name, offset in bytes and numpy's type."""
         field = self.types["sensor_msgs/msg/PointField"]
-        kinds = {"<f4": field.FLOAT32, "<u4": field.UINT32}
-        fields = [
-            field(name=name, offset=4 * place, datatype=kinds[layout[name].str], count=1)
-            for place, name in enumerate(names)
-        ]
+        kinds = {"<f4": field.FLOAT32, "<i4": field.INT32, "<u4": field.UINT32}
         message = self.types[CLOUD](
-            header=self.header(scan.stamp_ns, scan.frame_id),
+            header=header,
             height=1,
             width=len(rows),
-            fields=fields,
+            fields=[
+                field(name=name, offset=offset, datatype=kinds[kind], count=1)
+                for name, (offset, kind) in fields.items()
+            ],
             is_bigendian=False,
-            point_step=layout.itemsize,
-            row_step=layout.itemsize * len(rows),
+            point_step=rows.itemsize,
+            row_step=rows.nbytes,
             data=rows.view(np.uint8).reshape(-1),
             is_dense=True,
         )
-        self.write(scan.topic, CLOUD, message, log_ns)
+        self.write(topic, CLOUD, message, log_ns)
 
     def write_laser_scan(
         self, topic: str, frame_id: str, stamp_ns: int, log_ns: int, range_m: FloatArray, sweep: LaserSweep

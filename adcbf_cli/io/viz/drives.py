@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import pairwise
+import re
+from collections.abc import Iterable, Iterator
+from itertools import chain, count, pairwise
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.dataset as ds
+from pydantic import ValidationError
 
-from adcbf_cli.io.parquet import read_table, told_as_damage
+from adcbf_cli.core.config import VehicleConfig
+from adcbf_cli.core.errors import AdcbfError
+from adcbf_cli.io.parquet import read_table, table_metadata, told_as_damage
 from adcbf_cli.io.viz.records import DriveName, DriveTick
 from adcbf_cli.io.viz.shapes import Trail
 
@@ -23,11 +27,34 @@ _Columns = dict[str, np.ndarray]
 def drive_names(folder: Path, mode: str) -> tuple[list[DriveName], int]:
     """The drive of each planner's first seed, and how many other drives there are."""
     rows = read_table(folder / "drives.parquet", ["planner", "seed", "ticks"]).to_pylist()
-    first: dict[str, DriveName] = {}
+    first: dict[str, int] = {}
     for row in rows:
         if row["ticks"]:
-            first.setdefault(row["planner"], DriveName(mode, row["planner"], row["seed"]))
-    return list(first.values()), len(rows) - len(first)
+            first.setdefault(row["planner"], row["seed"])
+    topics = drive_topics(mode, first)
+    names = [
+        DriveName(mode, planner, seed, topic) for (planner, seed), topic in zip(first.items(), topics, strict=True)
+    ]
+    return names, len(rows) - len(first)
+
+
+def drive_topics(mode: str, planners: Iterable[str]) -> list[str]:
+    """/replay/ad_cbf_mpc: letters, digits and _ only, as ROS asks for. Names that would be the same get numbers."""
+    topics: list[str] = []
+    for planner in planners:
+        plain = f"/{mode}/" + re.sub(r"[^A-Za-z0-9_]", "_", planner)
+        numbered = (f"{plain}_{number}" for number in count(2))
+        topics.append(next(topic for topic in chain([plain], numbered) if topic not in topics))
+    return topics
+
+
+def body_radius_m(folder: Path) -> float:
+    """Of the vehicle that was driven. AdcbfError where the tables do not say."""
+    metadata = table_metadata(folder / "drives.parquet") or {}
+    try:
+        return VehicleConfig.model_validate(metadata["config"]["vehicle"]).body_radius_m
+    except (ValidationError, LookupError, TypeError):
+        raise AdcbfError(f"{folder}: its settings are not this adcbf's; drive again") from None
 
 
 def drive_ticks(run_folder: Path, drive: DriveName) -> Iterator[DriveTick]:

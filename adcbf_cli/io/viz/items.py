@@ -5,7 +5,6 @@ The same for every viewer; a writer turns these into its format and knows nothin
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Literal
@@ -14,7 +13,7 @@ import numpy as np
 
 from adcbf_cli.core.frames import pose_matrix
 from adcbf_cli.core.types import NO_ID, Clusters, FloatArray, IntArray, Predictions, Tracks, TrackStatus
-from adcbf_cli.io.viz.records import DriveName, DriveTick, LabelledCloud, Record, SceneFrame, Show
+from adcbf_cli.io.viz.records import DriveTick, LabelledCloud, Record, SceneFrame, Show
 from adcbf_cli.io.viz.shapes import NO_CLUSTER, Rgb, ellipse, planner_rgb, track_rgb
 
 CLOUD, CLUSTERS, TRACKS, PREDICTIONS, DRIVEN = "/cloud", "/clusters", "/tracks", "/predictions", "/driven"
@@ -102,15 +101,6 @@ class PosePath:
 
 
 Item = Transform | Cloud | PosePath | Drawing
-
-
-def drive_topic(drive: DriveName) -> str:
-    """/replay/ad_cbf_mpc: letters, digits and _ only, as ROS asks for."""
-    return f"/{drive.mode}/" + re.sub(r"[^A-Za-z0-9_]", "_", drive.planner)
-
-
-def vehicle_frame(drive: DriveName) -> str:
-    return drive_topic(drive).lstrip("/")
 
 
 def items(record: Record, show: Show) -> Iterator[Item]:
@@ -222,7 +212,7 @@ def shown_steps(steps: int) -> IntArray:
 
 
 def _of_tick(tick: DriveTick, show: Show) -> Iterator[Item]:
-    topic, floor_m = drive_topic(tick.drive), tick.floor_m
+    topic, floor_m = tick.drive.topic, tick.floor_m
     number = show.planner_number(tick.drive.planner)
     rgb = planner_rgb(number)
     place = np.array([tick.pose[0], tick.pose[1], floor_m])
@@ -231,8 +221,9 @@ def _of_tick(tick: DriveTick, show: Show) -> Iterator[Item]:
     if tick.plan is not None:
         yield PosePath(f"{topic}/plan", tick.stamp_ns, _on_floor(tick.plan, floor_m), rgb)
     if tick.drive.has_own_path:
-        yield Transform(tick.stamp_ns, show.world_frame, vehicle_frame(tick.drive), pose_matrix(place, turn))
-        yield Drawing(f"{topic}/vehicle", tick.stamp_ns, (_vehicle(tick, place, rgb, number, show.body_radius_m),))
+        yield Transform(tick.stamp_ns, show.world_frame, topic.lstrip("/"), pose_matrix(place, turn))
+        radius_m = show.body_radius_m[tick.drive.mode]
+        yield Drawing(f"{topic}/vehicle", tick.stamp_ns, (_vehicle(tick, place, rgb, number, radius_m),))
     if tick.driven is not None:
         yield PosePath(f"{topic}/driven", tick.stamp_ns, _on_floor(tick.driven, floor_m), rgb)
 

@@ -7,25 +7,13 @@ from typing import Any
 
 import yaml
 
-from adcbf_cli.io.viz.items import CLOUD, CLUSTERS, DRIVEN, PREDICTIONS, TRACKS, drive_topic
+from adcbf_cli.io.viz.items import CLOUD, CLUSTERS, DRIVEN, PREDICTIONS, TRACKS
 from adcbf_cli.io.viz.records import Show
 from adcbf_cli.io.viz.shapes import NO_CLUSTER, Rgb, planner_rgb
 
 
 def foxglove_layout(show: Show) -> str:
     """JSON for Foxglove's "import layout": one 3D panel, seen from above, that follows the sensor."""
-    topics: dict[str, Any] = {
-        CLOUD: {"visible": True, "colorMode": "rgba-fields", "pointSize": 2},
-        CLUSTERS: {"visible": True},
-        TRACKS: {"visible": True},
-        PREDICTIONS: {"visible": True},
-        DRIVEN: _path(NO_CLUSTER, 0.04),
-    }
-    for drive in show.drives:
-        topic, rgb = drive_topic(drive), planner_rgb(show.planner_number(drive.planner))
-        topics[f"{topic}/plan"] = _path(rgb, 0.05)
-        topics[f"{topic}/driven"] = _path(rgb, 0.08)
-        topics[f"{topic}/vehicle"] = {"visible": True}
     panel = {
         "cameraState": {
             "perspective": True,
@@ -43,7 +31,7 @@ def foxglove_layout(show: Show) -> str:
         "followTf": show.sensor_frame,
         "scene": {"transforms": {"axisScale": 0.5, "labelSize": 0.1}, "backgroundColor": "#15151a"},
         "transforms": {f"frame:{show.world_frame}": {"visible": False}},
-        "topics": topics,
+        "topics": _shown_topics(show),
         "layers": {
             "grid": {
                 "layerId": "foxglove.Grid",
@@ -73,6 +61,22 @@ def foxglove_layout(show: Show) -> str:
     return json.dumps(layout, indent=2) + "\n"
 
 
+def _shown_topics(show: Show) -> dict[str, Any]:
+    topics: dict[str, Any] = {
+        CLOUD: {"visible": True, "colorMode": "rgba-fields", "pointSize": 2},
+        CLUSTERS: {"visible": True},
+        TRACKS: {"visible": True},
+        PREDICTIONS: {"visible": True},
+        DRIVEN: _path(NO_CLUSTER, 0.04),
+    }
+    for drive in show.drives:
+        topic, rgb = drive.topic, planner_rgb(show.planner_number(drive.planner))
+        topics[f"{topic}/plan"] = _path(rgb, 0.05)
+        topics[f"{topic}/driven"] = _path(rgb, 0.08)
+        topics[f"{topic}/vehicle"] = {"visible": True}
+    return topics
+
+
 def rviz_config(show: Show) -> str:
     """For `rviz2 -d`: everything in the bag, seen from above, around the sensor."""
     displays = [
@@ -85,7 +89,7 @@ def rviz_config(show: Show) -> str:
         _path_display(DRIVEN, NO_CLUSTER, 0.04),
     ]
     for drive in show.drives:
-        topic, rgb = drive_topic(drive), planner_rgb(show.planner_number(drive.planner))
+        topic, rgb = drive.topic, planner_rgb(show.planner_number(drive.planner))
         displays += [_path_display(f"{topic}/plan", rgb, 0.05), _path_display(f"{topic}/driven", rgb, 0.08)]
         displays.append(_display("MarkerArray", f"{topic.lstrip('/')}/vehicle", f"{topic}/vehicle"))
     view = {

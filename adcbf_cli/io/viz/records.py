@@ -6,6 +6,7 @@ its writer's business.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from adcbf_cli.core.replay.records import LOGGED
@@ -19,7 +20,8 @@ class Show:
     source_sha256: str
     world_frame: str
     sensor_frame: str
-    body_radius_m: float
+    body_radius_m: Mapping[str, float]
+    """By mode: `plan` and `replay` may have driven different vehicles."""
     probability: float
     """Of the ellipses around tracks."""
     drives: tuple[DriveName, ...]
@@ -31,11 +33,13 @@ class Show:
 
 @dataclass(frozen=True, slots=True)
 class DriveName:
-    """A planner's drive. mode: `open_loop` or `replay`, the folder that it is from."""
+    """A planner's drive. mode: `open_loop` or `replay`, the folder that it is from. topic: nobody else's, such as
+    /replay/ad_cbf_mpc."""
 
     mode: str
     planner: str
     seed: int
+    topic: str
 
     @property
     def has_own_path(self) -> bool:

@@ -13,16 +13,19 @@ from typing import Any
 
 import numpy as np
 
-from adcbf_cli.io.mcap_writer import CLOUD, NS_PER_S, LogWriter, open_log
+from adcbf_cli.io.mcap_writer import NS_PER_S, LogWriter, open_log
 from adcbf_cli.io.viz.items import LIFETIME_NS, Cloud, Drawing, Item, PosePath, Shape, Transform
 from adcbf_cli.io.viz.records import Show
-from adcbf_cli.io.viz.shapes import POINT, packed_cloud
+from adcbf_cli.io.viz.shapes import packed_cloud
 
 MARKERS = "visualization_msgs/msg/MarkerArray"
 PATH = "nav_msgs/msg/Path"
 
-_RGB_OFFSET = 20
-_FIELDS = {"x": 0, "y": 4, "z": 8, "cluster_id": 12, "track_id": 16, "rgb": _RGB_OFFSET}
+_FIELDS = {name: (4 * place, "<f4") for place, name in enumerate("xyz")} | {
+    "cluster_id": (12, "<i4"),
+    "track_id": (16, "<i4"),
+    "rgb": (20, "<u4"),
+}
 """Of POINT, with its four colour bytes as one number, which is how ROS packs them."""
 
 _Key = tuple[str, int]
@@ -53,25 +56,8 @@ class Ros2Writer:
                 self._draw(item)
 
     def _cloud(self, item: Cloud) -> None:
-        rows = packed_cloud(item.cloud)
-        field = self._types["sensor_msgs/msg/PointField"]
-        kinds = {"cluster_id": field.INT32, "track_id": field.INT32, "rgb": field.UINT32}
-        fields = [
-            field(name=name, offset=offset, datatype=kinds.get(name, field.FLOAT32), count=1)
-            for name, offset in _FIELDS.items()
-        ]
-        message = self._types[CLOUD](
-            header=self._log.header(item.stamp_ns, item.frame_id),
-            height=1,
-            width=len(rows),
-            fields=fields,
-            is_bigendian=False,
-            point_step=POINT.itemsize,
-            row_step=POINT.itemsize * len(rows),
-            data=rows.view(np.uint8).reshape(-1),
-            is_dense=True,
-        )
-        self._log.write(item.topic, CLOUD, message, item.stamp_ns)
+        header = self._log.header(item.stamp_ns, item.frame_id)
+        self._log.write_points(item.topic, header, packed_cloud(item.cloud), _FIELDS, item.stamp_ns)
 
     def _draw(self, drawing: Drawing) -> None:
         marker = self._types["visualization_msgs/msg/Marker"]

@@ -15,7 +15,7 @@ from adcbf_cli.core.types import NO_ID, Clusters, Frame, IntArray, Notes, Tracks
 from adcbf_cli.io import tables
 from adcbf_cli.io.frame_reader import FrameReader
 from adcbf_cli.io.run_folder import DRIVING, Manifest, RunFolder
-from adcbf_cli.io.viz.drives import drive_names, drive_ticks
+from adcbf_cli.io.viz.drives import body_radius_m, drive_names, drive_ticks
 from adcbf_cli.io.viz.records import LabelledCloud, Record, SceneFrame, Show
 from adcbf_cli.io.viz.shapes import Floor, Trail, label_points
 
@@ -30,7 +30,7 @@ def show_of(folder: RunFolder, manifest: Manifest) -> tuple[Show, int]:
         source_sha256=manifest.source.sha256,
         world_frame=world,
         sensor_frame=sensor if sensor != world else f"{sensor}_sensor",
-        body_radius_m=manifest.config.vehicle.body_radius_m,
+        body_radius_m={mode: body_radius_m(folder.path / mode) for mode in modes},
         probability=manifest.config.prediction.probability,
         drives=tuple(name for shown, _ in found for name in shown),
     )

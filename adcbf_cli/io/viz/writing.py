@@ -26,10 +26,9 @@ class ViewWriter(Protocol):
 
 @dataclass(frozen=True)
 class Written:
-    """What went into the views: scans, those with points, drives, and drives of the folder that were left out."""
+    """What went into the views: scans, drives, and drives of the folder that were left out."""
 
     frames: int
-    clouds: int
     drives: int
     drives_left_out: int
 
@@ -47,7 +46,7 @@ def write_views(
     progress. AdcbfError where a table or the log cannot be read. Hold the folder's lock.
     """
     show, left_out = show_of(folder, manifest)
-    frames = clouds = 0
+    frames = 0
     with ExitStack() as stack:
         writers = [stack.enter_context(_open(name, folder.path / VIEW_FILES[name][0], show)) for name in names]
         for record in watched(scenes(folder, manifest, show, log)):
@@ -57,13 +56,12 @@ def write_views(
                 )
             if isinstance(record, SceneFrame):
                 frames += 1
-                clouds += record.cloud is not None
             for item in items(record, show):
                 for writer in writers:
                     writer.write(item)
     for name in names:
         _write_layout(name, folder.path, show)
-    return Written(frames, clouds, len(show.drives), left_out)
+    return Written(frames, len(show.drives), left_out)
 
 
 def _open(name: str, path: Path, show: Show) -> AbstractContextManager[ViewWriter]:

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from adcbf_cli.core.types import NO_ID
-from adcbf_cli.io.viz.items import drive_topic, shown_steps
-from adcbf_cli.io.viz.records import DriveName, LabelledCloud
+from adcbf_cli.io.viz.drives import drive_topics
+from adcbf_cli.io.viz.items import shown_steps
+from adcbf_cli.io.viz.records import LabelledCloud
 from adcbf_cli.io.viz.shapes import POINT, Floor, Trail, ellipse, label_points, packed_cloud, track_rgb
 from tests.records import make_clusters
 
@@ -113,4 +114,9 @@ def test_some_steps_become_cylinders_and_the_last_always(steps: int, shown: list
 
 
 def test_a_planners_topic_is_a_ros_name() -> None:
-    assert drive_topic(DriveName("replay", "my planner-2.0/x", 0)) == "/replay/my_planner_2_0_x"
+    assert drive_topics("replay", ["my planner-2.0/x"]) == ["/replay/my_planner_2_0_x"]
+    assert drive_topics("replay", ["my-mpc", "my_mpc", "my.mpc"]) == [
+        "/replay/my_mpc",
+        "/replay/my_mpc_2",
+        "/replay/my_mpc_3",
+    ]
