@@ -112,6 +112,9 @@ class StampedTransform:
         return pose_matrix(self.position_m, self.quaternion_xyzw)
 
 
+_NO_SAMPLES: tuple[IntArray, FloatArray, FloatArray] = np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 4))
+
+
 class Trajectory:
     """The pose of one frame in another over time: positions linear, rotations slerped in between.
 
@@ -122,7 +125,8 @@ class Trajectory:
     def __init__(self) -> None:
         self._stamp_ns: list[int] = []
         self._samples: list[tuple[FloatArray, FloatArray]] = []
-        self._arrays: tuple[IntArray, FloatArray, FloatArray] | None = None
+        self._arrays = _NO_SAMPLES
+        """Of the first samples; those that were added at the end since then are still to be joined."""
 
     def __len__(self) -> int:
         return len(self._stamp_ns)
@@ -138,12 +142,13 @@ class Trajectory:
     def add(self, stamp_ns: int, position_m: FloatArray, quaternion_xyzw: FloatArray) -> None:
         place = bisect_left(self._stamp_ns, stamp_ns)
         sample = (np.asarray(position_m, dtype=np.float64), np.asarray(quaternion_xyzw, dtype=np.float64))
+        if place < len(self._stamp_ns):
+            self._arrays = _NO_SAMPLES
         if place < len(self._stamp_ns) and self._stamp_ns[place] == stamp_ns:
             self._samples[place] = sample
         else:
             self._stamp_ns.insert(place, stamp_ns)
             self._samples.insert(place, sample)
-        self._arrays = None
 
     def at_rest(self) -> bool:
         """Whether all samples are one pose."""
@@ -157,7 +162,7 @@ class Trajectory:
         keep_from = bisect_right(self._stamp_ns, before_ns) - 1
         if keep_from >= _PRUNE_BATCH:
             del self._stamp_ns[:keep_from], self._samples[:keep_from]
-            self._arrays = None
+            self._arrays = _NO_SAMPLES
 
     def at(
         self, stamps_ns: IntArray, max_gap_ns: int, extrapolate_ns: int = 0, allow_rest: bool = False
@@ -197,10 +202,16 @@ class Trajectory:
         return matrices, known
 
     def _as_arrays(self) -> tuple[IntArray, FloatArray, FloatArray]:
-        if self._arrays is None:
-            positions = np.array([position for position, _ in self._samples])
-            rotations = np.array([rotation for _, rotation in self._samples])
-            self._arrays = np.array(self._stamp_ns, dtype=np.int64), positions, rotations
+        joined = len(self._arrays[0])
+        if joined < len(self._stamp_ns):
+            new = self._samples[joined:]
+            tail = (
+                np.array(self._stamp_ns[joined:], dtype=np.int64),
+                np.array([position for position, _ in new]),
+                np.array([rotation for _, rotation in new]),
+            )
+            stamps, positions, rotations = (np.concatenate(pair) for pair in zip(self._arrays, tail, strict=True))
+            self._arrays = stamps, positions, rotations
         return self._arrays
 
 

@@ -179,3 +179,20 @@ def test_rotations_agree_with_scipy_and_inverses_undo(seed: int) -> None:
 @pytest.mark.parametrize(("given_name", "clean"), [("/map", "map"), ("map", "map"), (" //odom ", "odom"), ("", "")])
 def test_frame_ids_lose_their_slash(given_name: str, clean: str) -> None:
     assert clean_frame_id(given_name) == clean
+
+
+def test_asking_in_between_changes_nothing() -> None:
+    """Samples at the end, in between, again, and pruning, with questions after each: as one asked at last."""
+    rng = np.random.default_rng(5)
+    asked, plain = Trajectory(), Trajectory()
+    for step in range(300):
+        stamp = int(step * 100 + rng.integers(-250, 60))
+        sample = rng.normal(size=3), np.array([0.0, 0.0, 0.0, 1.0])
+        for one in (asked, plain):
+            one.add(stamp, *sample)
+            if step == 200:
+                one.prune(15_000)
+        asked.at(np.array([stamp - 30]), 10_000)
+    times = np.arange(15_000, 30_000, 37)
+    for mine, other in zip(asked.at(times, 10_000), plain.at(times, 10_000), strict=True):
+        np.testing.assert_array_equal(mine, other)
