@@ -48,11 +48,26 @@ def test_make_gives_a_report_a_log_and_repeats_nothing(tmp_path: Path, environme
     make("a.adcbf/replay/report.json", "PLANNERS=pure-pursuit")
     replay = json.loads((tmp_path / "a.adcbf" / "replay" / "report.json").read_text())
     assert replay["comparison"]["planners"]["pure-pursuit"]["drives"] == 1
+    shutil.copy(SAMPLE / "truth.csv", tmp_path / "b.truth.csv")
+    told = make()
+    assert "adcbf run b.mcap" in told, "it has a truth now"
+    assert "adcbf run a.mcap" not in told
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
+def test_make_keeps_the_report_that_a_replay_was_made_from(tmp_path: Path, environment: dict[str, str]) -> None:
+    (tmp_path / "sub").mkdir()
+    write_short_log(tmp_path / "sub" / "a.mcap", 10)
+    command = ["make", "-f", str(EXAMPLES / "Makefile"), "sub/a.adcbf/replay/report.json", "PLANNERS=pure-pursuit"]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "sub" / "a.adcbf" / "report.json").exists()
 
 
 def test_the_batch_script_compares_with_last_time(tmp_path: Path, environment: dict[str, str]) -> None:
     (tmp_path / "logs").mkdir()
     write_short_log(tmp_path / "logs" / "a.mcap", 40)
+    write_short_log(tmp_path / "logs" / "glance.mcap", 3)
 
     def check(*arguments: str, options: str) -> int:
         command = [str(EXAMPLES / "batch.sh"), "logs", *arguments]
@@ -64,9 +79,14 @@ def test_the_batch_script_compares_with_last_time(tmp_path: Path, environment: d
 
     assert check("old.batch", options="--range 8") == 0
     assert check("same.batch", "old.batch", options="--range 8") == 0
-    page = (tmp_path / "same.batch" / "runs" / "log=a" / "comparison.md").read_text()
+    compared = {run: tmp_path / "same.batch" / "runs" / f"log={run}" for run in ("a", "glance")}
+    scores = json.loads((compared["glance"] / "report.json").read_text())["metrics"]
+    assert scores["later_seen.rmse_x_m"]["value"] is None, "too short to be scored, in both"
+    page = (compared["a"] / "comparison.md").read_text()
     assert "without an interval" in page
-    assert "worse" not in page.splitlines()[5]
+    assert "**Threshold missed**" not in page
+    worse = "--range 8 --set tracking.model=ca"
+    assert check("worse.batch", "old.batch", options=worse) == 4
+    assert "**Threshold missed**" in (tmp_path / "worse.batch" / "runs" / "log=a" / "comparison.md").read_text()
     (tmp_path / "logs" / "bad.bag").write_bytes(b"nothing")
-    assert check("new.batch", "old.batch", options="--range 8 --set tracking.model=ca") == 4
-    assert "**Threshold missed**" in (tmp_path / "new.batch" / "runs" / "log=a" / "comparison.md").read_text()
+    assert check("worse.batch", "old.batch", options=worse) == 1, "a log that failed outranks one that became worse"
