@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from tests.commands.conftest import run_here
+from tests.commands.short_logs import write_short_log
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = (
@@ -71,24 +73,48 @@ def page_file(driven_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Pat
     return path
 
 
-@pytest.fixture(scope="module", params=[(1280, "light"), (360, "dark")], ids=["wide-light", "narrow-dark"])
-def opened(
-    request: pytest.FixtureRequest, browser_path: str, page_file: Path, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[Opened]:
+@pytest.fixture(scope="module")
+def driver() -> Iterator[Any]:
     from playwright.sync_api import sync_playwright
 
-    width, scheme = request.param
     with sync_playwright() as playwright:
-        context = playwright.chromium.launch_persistent_context(
-            tmp_path_factory.mktemp("profile"),
-            executable_path=browser_path,
-            headless=True,
-            args=list(FLAGS),
-            viewport={"width": width, "height": 800},
-            color_scheme=scheme,
-        )
+        yield playwright
+
+
+@contextmanager
+def browser(driver: Any, executable: str, profile: Path, width: int, scheme: str) -> Iterator[Any]:
+    context = driver.chromium.launch_persistent_context(
+        profile,
+        executable_path=executable,
+        headless=True,
+        args=list(FLAGS),
+        viewport={"width": width, "height": 800},
+        color_scheme=scheme,
+    )
+    yield context
+    context.close()
+
+
+@pytest.fixture(scope="module", params=[(1280, "light"), (360, "dark")], ids=["wide-light", "narrow-dark"])
+def opened(
+    request: pytest.FixtureRequest,
+    driver: Any,
+    browser_path: str,
+    page_file: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[Opened]:
+    with browser(driver, browser_path, tmp_path_factory.mktemp("profile"), *request.param) as context:
         yield Opened(context, page_file)
-        context.close()
+
+
+def shows(opened: Opened, layer: str) -> bool:
+    """Whether the scene is another without this layer, and the same again with it."""
+    box = opened.page.get_by_label(layer, exact=True)
+    with_it = opened.pixels()
+    box.uncheck()
+    without = opened.pixels()
+    box.check()
+    return without != with_it and opened.pixels() == with_it
 
 
 def test_it_opens_without_a_complaint_or_a_request(opened: Opened, page_file: Path) -> None:
@@ -130,15 +156,27 @@ def test_playing_moves_the_time(opened: Opened) -> None:
     assert opened.page.text_content("#play") == "Play"
 
 
-@pytest.mark.parametrize("layer", ["tracks", "predictions", "reference", "driven paths"])
+@pytest.mark.parametrize("layer", ["tracks", "ellipses", "predictions", "reference", "plans", "driven paths", "labels"])
 def test_each_layer_is_something_to_see(opened: Opened, layer: str) -> None:
     opened.set_time(3000)
-    box = opened.page.get_by_label(layer, exact=True)
-    with_it = opened.pixels()
-    box.uncheck()
-    assert opened.pixels() != with_it
-    box.check()
-    assert opened.pixels() == with_it
+    assert shows(opened, layer)
+
+
+def test_points_and_clusters_of_scans_are_something_to_see(
+    driver: Any, browser_path: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """A list of objects has none: this page is of a log with scans."""
+    folder = tmp_path_factory.mktemp("scans")
+    log = write_short_log(folder / "short.mcap", 6)
+    assert run_here("cluster", log, "-o", folder / "run", "--range", "12").returncode == 0
+    page = folder / "short.html"
+    assert run_here("report", folder / "run", "-o", page, "--no-figures").returncode == 0
+    with browser(driver, browser_path, folder / "profile", 1280, "light") as context:
+        scanned = Opened(context, page)
+        scanned.set_time(300)
+        assert shows(scanned, "points")
+        assert shows(scanned, "clusters")
+        assert scanned.complaints == []
 
 
 def test_a_planner_can_be_left_out_and_another_seed_chosen(opened: Opened) -> None:

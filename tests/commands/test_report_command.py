@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from adcbf_cli.core.evaluation.report import Metric
+from adcbf_cli.io.figures.of_run import drawn_drives
 from adcbf_cli.io.html_report import gather
 from adcbf_cli.io.report import number
 from tests.commands.conftest import run_here
@@ -149,8 +150,30 @@ def test_every_planner_stands_in_the_table_with_its_interval(page: Path, driven_
         assert number(found["metrics"]["min_dist_m"]["value"]) in text
 
 
-def test_what_is_missing_names_the_command_that_makes_it(driven_run: Path, tmp_path: Path) -> None:
+def test_a_page_shows_what_its_reports_were_made_with(driven_run: Path, tmp_path: Path) -> None:
+    """run.json is not written again where all tables stay valid; and plans are stored of the first seed given."""
     copy = tmp_path / "copy.adcbf"
+    shutil.copytree(driven_run, copy)
+    way = ("--start", "0,0", "--goal", "6,0", "--speed", "1", "-p", "ad-cbf-mpc", "--seeds", "3,1")
+    done = run_here("replay", copy, *way, "--set", "vehicle.body_radius_m=0.2")
+    assert done.returncode == 0, done.stderr
+    page = gather.gather_run(copy, "people", gather.Wishes(), lambda items, *_: iter(items))
+    settings = dict(page.settings)
+    assert settings["vehicle.body_radius_m (replay)"] == "0.2"
+    assert settings["perception.range_m"] == "8.0"
+    assert not [key for key in settings if key.startswith("evaluation.")]
+    (group,) = page.data["drives"]
+    assert group["shown_seeds"] == [3, 1]
+    assert {drive["seed"] for drive in group["drives"] if drive["plans"] is not None} == {3}
+    shown = drawn_drives({"run": page.data})
+    assert shown is not None
+    assert [drive["seed"] for drive in shown.drives] == [3]
+    frames = json.loads(pq.read_schema(copy / "frames.parquet").metadata[b"adcbf"])
+    assert ("adcbf", frames["adcbf"]) in page.about
+
+
+def test_what_is_missing_names_the_command_that_makes_it(driven_run: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "a copy.adcbf"
     shutil.copytree(driven_run, copy)
     shutil.rmtree(copy / "replay")
     (copy / "report.json").unlink()
@@ -158,10 +181,11 @@ def test_what_is_missing_names_the_command_that_makes_it(driven_run: Path, tmp_p
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
     missing = {entry["section"]: entry["command"] for entry in document["runs"][0]["missing"]}
-    assert missing["replay"] == f"adcbf replay {copy} -p all --seeds 0:20"
-    assert missing["scores"] == f"adcbf evaluate {copy} --truth FILE"
+    assert missing["replay"] == f"adcbf replay '{copy}' --start X,Y --goal X,Y -p all --seeds 0:20"
+    assert missing["plan"] is None, "without the vehicle's poses there is no open loop"
+    assert missing["scores"] == f"adcbf evaluate '{copy}' --truth FILE"
     text = (copy / "report.html").read_text()
-    assert f"adcbf replay {copy}" in text
+    assert f"adcbf replay &#39;{copy}&#39;" in text
     assert Page(copy / "report.html").data["runs"][0]["drives"] == []
 
 

@@ -50,7 +50,7 @@ def planner_look(planner: str, planners: list[str]) -> dict[str, Any]:
 def drawn_drives(document: dict[str, Any]) -> Drawn | None:
     """The first kind of driving there is (closed loop before open loop), its first seed; None without drives."""
     for group in document["run"]["drives"]:
-        seed = min(group["shown_seeds"], default=None)
+        seed = next(iter(group["shown_seeds"]), None)
         mine = [drive for drive in group["drives"] if drive["planner"] != LOGGED and drive["seed"] == seed]
         logged = [drive for drive in group["drives"] if drive["planner"] == LOGGED]
         if mine:

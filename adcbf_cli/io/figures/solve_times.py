@@ -28,13 +28,13 @@ def draw(document: dict[str, Any]) -> Figure:
         over_time.plot(
             seconds(drive)[known], solve_ms[known], ".", color=look["color"], markersize=2.5, label=drive["planner"]
         )
-        share = np.arange(1, known.sum() + 1) / known.sum()
-        shares.plot(np.sort(solve_ms[known]), share, **look)
+        shown = drive["solve_shares"]
+        shares.plot(values(shown["us"], 1e-3), values(shown["share_e4"], 1e-4), **look)
     deadline = drawn.group["deadline_ms"]
     over_time.axhline(deadline, color=BLACK, linestyle="--", linewidth=0.9, label=f"deadline {deadline:.4g} ms")
     shares.axvline(deadline, color=BLACK, linestyle="--", linewidth=0.9)
     over_time.set(yscale="log", xlabel="time since the first scan [s]", ylabel="planning step [ms]")
-    shares.set(xscale="log", xlabel="planning step [ms]", ylabel="share of the shown steps")
+    shares.set(xscale="log", xlabel="planning step [ms]", ylabel="share of the steps")
     label_panel(over_time, "a", "by step")
     label_panel(shares, "b", "distribution")
     figure.legend(loc="outside upper center", ncols=5, fontsize=8, markerscale=3)

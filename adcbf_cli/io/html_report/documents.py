@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
-from adcbf_cli.core.config import PlanningConfig, VehicleConfig
+from adcbf_cli.core.config import PlanningConfig, ReplayConfig, VehicleConfig
 from adcbf_cli.core.errors import AdcbfError
 from adcbf_cli.io.settings import first_problem
 
@@ -41,6 +41,7 @@ class _Truth(_Part):
 
 class _Basis(_Part):
     truth: _Truth | None = None
+    config: dict[str, Any]
 
 
 class _Document(_Part):
@@ -92,13 +93,13 @@ class _Comparison(_Part):
 class _Route(_Part):
     length_m: float
     speed_mps: float
-    start_m: tuple[float, float]
     goal_m: tuple[float, float]
 
 
 class _Settings(_Part):
     vehicle: VehicleConfig
     planning: PlanningConfig
+    replay: ReplayConfig
 
 
 class Driving(_Document):

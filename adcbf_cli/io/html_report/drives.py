@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from adcbf_cli.core.replay.records import LOGGED
 from adcbf_cli.core.types import FloatArray
 from adcbf_cli.io.html_report.thinning import MILLI, evenly, integers, with_extremes
 from adcbf_cli.io.parquet import ROWS_READ, batches, read_table
@@ -34,21 +35,23 @@ class Detail:
         return self.ticks // 5
 
 
-_TICKS = ("timestamp_ns", "x_m", "y_m", "yaw_rad", "speed_mps", "clearance_m", "log_m")
+_TICKS = ("timestamp_ns", "x_m", "y_m", "yaw_rad", "clearance_m")
+SHARES = 200
+"""So many points of the distribution of a drive's solve times are kept, the longest among them."""
 _STAGES = ("tick", "stage", "x_m", "y_m", "barrier_m2", "gamma")
 
 
 def gather_drives(folder: Path, kind: str, start_ns: int, origin_m: FloatArray, detail: Detail) -> dict[str, Any]:
     """The drives of one kind: how many there are, and some of them in `detail`.
 
-    Seeds are shown whole, all planners of one: first the lowest seed, then those in which a drive failed, then the
-    rest; at least one seed is.
+    Seeds are shown whole, all planners of one: first the one that was driven first, whose plans alone are stored,
+    then those in which a drive failed, then the rest; at least one seed is.
     """
-    entries = read_table(
-        folder / "drives.parquet", ["planner", "seed", "period_s", "result", "reference_speed_mps"]
-    ).to_pylist()
-    seeds = _chosen_seeds(entries, detail.drives)
-    chosen = {(entry["planner"], entry["seed"]): entry for entry in entries if entry["seed"] in seeds}
+    entries = read_table(folder / "drives.parquet", ["planner", "seed", "result"]).to_pylist()
+    driven = [entry for entry in entries if entry["planner"] != LOGGED]
+    seeds = _chosen_seeds(driven, detail.drives)
+    shown = [entry for entry in entries if entry["seed"] in seeds or entry["planner"] == LOGGED]
+    chosen = {(entry["planner"], entry["seed"]): entry for entry in shown}
     ticks = _columns(folder / "trajectories.parquet", chosen, _TICKS)
     solve = _columns(folder / "solve_times.parquet", chosen, ("solve_ms",))
     outcomes = _texts(folder / "plans.parquet", chosen, "outcome")
@@ -65,14 +68,16 @@ def gather_drives(folder: Path, kind: str, start_ns: int, origin_m: FloatArray, 
         "kind": kind,
         "drives": drives,
         "total": len(entries),
-        "seeds": sorted({entry["seed"] for entry in entries}),
-        "shown_seeds": sorted(seeds),
+        "seeds": sorted({entry["seed"] for entry in driven}),
+        "shown_seeds": seeds,
         "planners": list(dict.fromkeys(entry["planner"] for entry in entries)),
     }
 
 
-def _chosen_seeds(entries: list[dict[str, Any]], most: int) -> set[int]:
-    every = sorted({entry["seed"] for entry in entries})
+def _chosen_seeds(entries: list[dict[str, Any]], most: int) -> list[int]:
+    """The one with plans first, the others ascending."""
+    first = entries[0]["seed"] if entries else None
+    every = sorted({entry["seed"] for entry in entries}, key=lambda seed: (seed != first, seed))
     failed = {entry["seed"] for entry in entries if entry["result"] not in (None, "success")}
     order = [*every[:1], *(s for s in every[1:] if s in failed), *(s for s in every[1:] if s not in failed)]
     chosen: set[int] = set()
@@ -82,7 +87,7 @@ def _chosen_seeds(entries: list[dict[str, Any]], most: int) -> set[int]:
         if chosen and shown > most:
             break
         chosen.add(seed)
-    return chosen
+    return [seed for seed in every if seed in chosen]
 
 
 def _rows(path: Path, chosen: dict[Key, Any], names: tuple[str, ...]) -> Iterator[tuple[Key, pa.Table]]:
@@ -145,12 +150,12 @@ def _encoded(driven: _Driven, start_ns: int, origin_m: FloatArray, detail: Detai
         "x_mm": integers(ticks["x_m"][kept] - origin_m[0], MILLI),
         "y_mm": integers(ticks["y_m"][kept] - origin_m[1], MILLI),
         "yaw_mrad": integers(ticks["yaw_rad"][kept], MILLI),
-        "speed_mmps": integers(ticks["speed_mps"][kept], MILLI),
         "clearance_mm": integers(ticks["clearance_m"][kept], MILLI),
         "barrier_cm2": integers(now[kept], TEN_THOUSANDTH),
         "barrier_min_cm2": integers(worst[kept], TEN_THOUSANDTH),
         "gamma_e4": integers(gamma[kept], TEN_THOUSANDTH),
         "solve_us": integers(solve_ms[kept], MILLI),
+        "solve_shares": _shares(solve_ms),
         "fallbacks": _spans(driven.outcome, after_ms),
         "plans": None,
     }
@@ -159,6 +164,15 @@ def _encoded(driven: _Driven, start_ns: int, origin_m: FloatArray, detail: Detai
         place = np.stack([plans[f"{axis}_m"][np.ix_(shown, stages)] - origin_m[i] for i, axis in enumerate("xy")], -1)
         encoded["plans"] = {"t_ms": integers(after_ms[shown]), "xy_mm": [integers(row, MILLI) for row in place]}
     return encoded
+
+
+def _shares(solve_ms: FloatArray) -> dict[str, list[int | None]]:
+    """The distribution of all ticks' solve times, before any is left out: times, ascending, and which share of the
+    steps took no longer."""
+    known = np.sort(solve_ms[np.isfinite(solve_ms)])
+    kept = evenly(len(known), SHARES)
+    share = (kept + 1) / max(1, len(known))
+    return {"us": integers(known[kept], MILLI), "share_e4": integers(share, TEN_THOUSANDTH)}
 
 
 def _spans(outcome: list[str | None], after_ms: FloatArray) -> list[list[Any]]:
@@ -187,8 +201,8 @@ def left_out(gathered: dict[str, Any], detail: Detail, name: str) -> Iterator[st
     if len(gathered["shown_seeds"]) < len(gathered["seeds"]):
         seeds = ", ".join(map(str, gathered["shown_seeds"]))
         yield (
-            f"{name}: of {len(gathered['seeds'])} seeds, {seeds} are shown tick by tick (first the lowest, then those "
-            "in which a drive failed); the tables count all"
+            f"{name}: of {len(gathered['seeds'])} seeds, {seeds} are shown tick by tick (first the one driven "
+            "first, then those in which a drive failed); the tables count all"
         )
     if any(drive["ticks"] > detail.ticks for drive in gathered["drives"]):
         yield f"{name}: about {detail.ticks:,} ticks a drive, the extremes among them"

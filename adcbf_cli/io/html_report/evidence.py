@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from adcbf_cli.core.config import Config
 from adcbf_cli.core.replay.records import LOGGED
 from adcbf_cli.io.report import number
 from adcbf_cli.io.run_folder import DRIVING, Manifest
@@ -259,16 +257,3 @@ def warnings_of(
             if where in DRIVING:
                 tell(where, f"{name.replace('_', ' ')}: {count}")
     return list(found)
-
-
-def changed_settings(config: Config) -> list[tuple[str, str]]:
-    """Settings that differ from the defaults, `stage.key` and value."""
-    return list(_changes(config.model_dump(mode="json"), Config().model_dump(mode="json"), ""))
-
-
-def _changes(mine: dict[str, Any], default: dict[str, Any], prefix: str) -> Iterator[tuple[str, str]]:
-    for name, value in mine.items():
-        if isinstance(value, dict) and isinstance(default.get(name), dict):
-            yield from _changes(value, default[name], f"{prefix}{name}.")
-        elif value != default.get(name):
-            yield f"{prefix}{name}", json.dumps(value)

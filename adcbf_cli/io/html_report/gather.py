@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -11,7 +12,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-import adcbf_cli
 from adcbf_cli.core.errors import AdcbfError
 from adcbf_cli.io.html_report import evidence
 from adcbf_cli.io.html_report.documents import Driving, Evaluation, read_document
@@ -22,6 +22,7 @@ from adcbf_cli.io.html_report.thinning import evenly, integers
 from adcbf_cli.io.logs import is_object_list
 from adcbf_cli.io.parquet import read_table, table_metadata
 from adcbf_cli.io.run_folder import DRIVING, STAGES, TABLES, Manifest, RunFolder, is_source
+from adcbf_cli.io.run_settings import changed_settings, settings_made_with
 
 T = TypeVar("T")
 Watch = Callable[[Iterable[T], int | None, str], Iterator[T]]
@@ -86,16 +87,16 @@ def gather_run(path: Path, name: str, wishes: Wishes, watch: Watch[Any]) -> RunP
     scene = gather_scene(path, stages, frames, MOST_FRAMES)
     _gather_points(folder, manifest, scene, wishes, watch, missing)
     report, driving, drives, gamma = _gather_reports(folder, manifest, scene, wishes, missing, thinned)
+    made_with = settings_made_with(manifest.config, report, driving)
     for stage, what in (("track", "tracks"), ("predict", "predictions")):
         if stage not in stages:
-            missing[what] = (f"no {what} were made", f"adcbf {stage} {path}")
+            missing[what] = (f"no {what} were made", _command(stage, path))
     data = {
         "name": name,
         "scene": scene,
         "drives": drives,
         "gamma": gamma,
         "calibration": [] if report is None else evidence.calibration_points(report),
-        "body_radius_m": manifest.config.vehicle.body_radius_m,
         "probability": manifest.config.prediction.probability,
     }
     data["scene"] = _fitted(data, wishes.data_bytes, thinned)
@@ -104,8 +105,8 @@ def gather_run(path: Path, name: str, wishes: Wishes, watch: Watch[Any]) -> RunP
         folder=str(path),
         manifest=manifest,
         data=data,
-        about=_about(manifest, scene, report, driving, stages),
-        settings=evidence.changed_settings(manifest.config),
+        about=[*_about(manifest, scene, report, driving, stages), ("adcbf", _version(folder))],
+        settings=[(key, json.dumps(value)) for key, value in changed_settings(made_with)],
         warnings=evidence.warnings_of(manifest, report, driving),
         report=report,
         driving={kind: {**document, **evidence.planner_tables(document)} for kind, document in driving.items()},
@@ -125,7 +126,8 @@ def _whole_stages(folder: RunFolder, manifest: Manifest) -> tuple[str, ...]:
         whole.append(stage)
     if not whole:
         log = folder.path / manifest.source.path
-        raise AdcbfError(f"{folder.path}: holds no finished stage; run `adcbf run {log} -o {folder.path}` first")
+        again = _command("run", log, "-o", str(folder.path))
+        raise AdcbfError(f"{folder.path}: holds no finished stage; run `{again}` first")
     return tuple(whole)
 
 
@@ -139,15 +141,15 @@ def _gather_reports(
 ) -> tuple[dict[str, Any] | None, dict[str, dict[str, Any]], list[dict[str, Any]], list[dict[str, Any]]]:
     """The evaluation, the driving reports, the drives and the maps of gamma, as far as the folder holds them."""
     path = folder.path
-    report = read_document(path / "report.json", Evaluation, f"adcbf evaluate {path}")
+    report = read_document(path / "report.json", Evaluation, _command("evaluate", path))
     if report is None:
-        missing["scores"] = ("this run was not scored", f"adcbf evaluate {path} --truth FILE")
+        missing["scores"] = ("this run was not scored", _command("evaluate", path, "--truth", "FILE"))
+    posed = any(frame["sensor"] is not None for frame in scene["shown"])
     driving, drives, gamma = {}, [], []
     for kind, name in reversed(DRIVING.items()):  # closed loop first
-        command = f"adcbf {kind} {path} -p all" + (" --seeds 0:20" if kind == "replay" else "")
         found = _driving_document(folder, manifest, kind)
         if isinstance(found, str):
-            missing[kind] = (found, command)
+            missing[kind] = (found, _driving_command(kind, path, posed))
             continue
         driving[kind] = found
         gathered = gather_drives(path / name, kind, scene["start_ns"], np.array(scene["origin_m"]), wishes.detail)
@@ -163,10 +165,24 @@ def _gather_reports(
     return report, driving, drives, gamma
 
 
+def _command(name: str, path: Path, *options: str) -> str:
+    """As it can be pasted into a shell."""
+    return shlex.join(["adcbf", name, str(path), *options])
+
+
+def _driving_command(kind: str, path: Path, posed: bool) -> str:
+    """What drives in this run folder. posed: whether the log says where its vehicle was; else there is no open loop,
+    and a closed one needs to be told from where to where."""
+    if kind == "replay":
+        way = () if posed else ("--start", "X,Y", "--goal", "X,Y")
+        return _command(kind, path, *way, "-p", "all", "--seeds", "0:20")
+    return _command(kind, path, "-p", "all") if posed else ""
+
+
 def _driving_document(folder: RunFolder, manifest: Manifest, kind: str) -> dict[str, Any] | str:
     """A kind of driving's report, or why there is none that belongs to this run."""
     name = DRIVING[kind]
-    document = read_document(folder.path / name / "report.json", Driving, f"adcbf {kind} {folder.path}")
+    document = read_document(folder.path / name / "report.json", Driving, _command(kind, folder.path))
     key = folder.driving_key(kind)
     if document is None or key is None:
         there = any((folder.path / name).glob("*.parquet"))
@@ -187,7 +203,6 @@ def _route(document: dict[str, Any], scene: dict[str, Any]) -> dict[str, Any]:
     points = np.array(document["reference_m"], dtype=float).reshape(-1, 2)
     return {
         "xy_mm": integers(points - origin, 1000),
-        "start_mm": integers(np.array(route["start_m"]) - origin, 1000),
         "goal_mm": integers(np.array(route["goal_m"]) - origin, 1000),
     }
 
@@ -202,7 +217,7 @@ def _gather_points(
 ) -> None:
     """Adds the shown scans' points to the scene, where they can be had."""
     if wishes.points is False:
-        missing["points"] = ("points were not asked for", f"adcbf report {folder.path} --points")
+        missing["points"] = ("points were not asked for", _command("report", folder.path, "--points"))
         return
     shown = {frame["frame"]: frame for frame in scene["shown"]}
     origin = np.array(scene["origin_m"])
@@ -230,14 +245,14 @@ def _why_not_from_log(
 ) -> tuple[str, str] | None:
     """Why points cannot be read from the log, with what would help, or None where they can."""
     log = folder.path / manifest.source.path
-    again = f"adcbf cluster {folder.path} --labels"
+    again = _command("cluster", folder.path, "--labels")
     if not log.exists():
         return "the run stored no points, and its log is no longer where it was", "adcbf cluster LOG --labels"
     if is_object_list(log):
         return "a list of objects has no points", ""
     if wishes.points is None and scene["frames"] > SCANS_READ_AGAIN:
         return f"the run stored no points, and its log has {scene['frames']:,} scans to read again", (
-            f"adcbf report {folder.path} --points"
+            _command("report", folder.path, "--points")
         )
     if not is_source(log, manifest.source):
         return "the run stored no points, and its log has changed since", again
@@ -305,7 +320,12 @@ def _about(
                 f"world: {document['world']}; route {route['length_m']:.1f} m at {route['speed_mps']:.3g} m/s",
             )
         )
-    return [*rows, ("adcbf", adcbf_cli.__version__)]
+    return rows
+
+
+def _version(folder: RunFolder) -> str:
+    """Of the adcbf that made the run, not of the one that shows it."""
+    return str((table_metadata(folder.table("frames")) or {}).get("adcbf", "unknown"))
 
 
 def _bytes(count: int) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from adcbf_cli.core.types import Clusters, FloatArray, IntArray, Predictions, Tracks, TrackStatus
-from adcbf_cli.io.html_report.thinning import MILLI, integers
+from adcbf_cli.io.html_report.thinning import MILLI, integers, stride_for
 from adcbf_cli.io.tables import read_clusters, read_predictions, read_tracks
 
 PREDICTED_STEPS = 6
@@ -81,7 +81,7 @@ def gather_scene(folder: Path, stages: tuple[str, ...], frames: int, most_frames
     frames: how many there are. Every `stride`-th of them is kept, as far as `most_frames` allow; counts and lives
     over time are of all.
     """
-    stride = max(1, -(-frames // most_frames))
+    stride = stride_for(frames, most_frames)
     scene: dict[str, Any] = {"frames": frames, "stride": stride, "shown": [], "steps": [], "step_ms": None}
     lives = Lives()
     counts: dict[str, list[int]] = {"t_ms": [], "clusters": [], "moving": [], "standing": [], "coasting": []}

@@ -77,7 +77,11 @@ const view = {
   layers: {},
   track: DATA.runs.map(() => null),
   listeners: { time: [], choice: [], theme: [] },
-  on(what, tell) { this.listeners[what].push(tell); },
+  // Returns what ends it.
+  on(what, tell) {
+    this.listeners[what].push(tell);
+    return () => { this.listeners[what] = this.listeners[what].filter((each) => each !== tell); };
+  },
   changed(what) { for (const tell of this.listeners[what]) tell(); },
 };
 

@@ -81,9 +81,10 @@ function driveControls() {
   const seed = element("select", { id: "seed" });
   const offer = () => {
     const seeds = [...new Set(groups.filter((group) => group.kind === view.kind).flatMap((group) => group.shown_seeds))];
+    view.seed = seeds[0]; // the one whose plans are stored
     seeds.sort((a, b) => a - b);
     seed.replaceChildren(...seeds.map((each) => element("option", { value: each }, String(each))));
-    view.seed = seeds[0];
+    if (seeds.length) seed.value = String(view.seed);
   };
   kind.addEventListener("change", () => {
     view.kind = kind.value;
@@ -103,7 +104,7 @@ function driveControls() {
 }
 
 function legend() {
-  const share = `${figure(DATA.runs[0].probability * 100)} %`;
+  const share = [...new Set(DATA.runs.map((run) => `${figure(run.probability * 100)} %`))].join(" or ");
   const words = [
     "Dots: points, coloured by cluster, grey where they belong to none.",
     "Thin grey rectangle: a cluster.",

@@ -36,10 +36,11 @@ function livesPicture(lives, number) {
     },
     selected: () => view.track[number] === id,
   }));
-  return barsPicture(rows, `${lives.length} tracks over time, each a bar coloured by its state`, BAR_PX, CHART_LEFT);
+  return barsPicture(rows, `${lives.length} tracks over time, each a bar coloured by its state`, BAR_PX, CHART_LEFT).frame;
 }
 
-// rows: [{name, title, spans: [[from, to in ms, class]], click, selected}]: bars under the charts' time axis.
+// rows: [{name, title, spans: [[from, to in ms, class]], click, selected}]: bars under the charts' time axis, and what to
+// call when they go from the page.
 function barsPicture(rows, words, row_px, left) {
   const end = Math.max(1, view.end_ms), high = rows.length * row_px;
   const picture = svg("svg", {
@@ -68,10 +69,10 @@ function barsPicture(rows, words, row_px, left) {
   const select = () => rows.forEach(({ selected }, row) => {
     picture.querySelectorAll("g")[row].classList.toggle("selected", Boolean(selected && selected()));
   });
-  view.on("time", mark);
-  view.on("choice", select);
+  const ends = [view.on("time", mark), view.on("choice", select)];
   mark();
-  return element("div", { class: "bars-frame" }, names, picture);
+  const frame = element("div", { class: "bars-frame" }, names, picture);
+  return { frame, forget: () => { for (const end of ends) end(); } };
 }
 
 const OUTCOMES = ["relaxed", "braked", "stopped"];
@@ -80,7 +81,10 @@ const OUTCOMES = ["relaxed", "braked", "stopped"];
 function fallbackBars() {
   for (const holder of runHolders("margins")) {
     const run = DATA.runs[holder.dataset.run], place = holder.querySelector(".fallbacks");
+    let forget = () => {};
     const show = () => {
+      forget();
+      forget = () => {};
       place.replaceChildren();
       const drives = chosenDrives(run).filter((drive) => drive.planner !== LOGGED);
       if (!drives.length) return;
@@ -96,7 +100,9 @@ function fallbackBars() {
         return;
       }
       place.append(keys(OUTCOMES, "fallback"));
-      place.append(barsPicture(rows, `fallbacks of ${rows.map((row) => row.title).join("; ")}`, 16, 92));
+      const bars = barsPicture(rows, `fallbacks of ${rows.map((row) => row.title).join("; ")}`, 16, 92);
+      forget = bars.forget;
+      place.append(bars.frame);
     };
     view.on("choice", show);
     show();
