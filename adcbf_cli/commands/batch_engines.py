@@ -26,6 +26,9 @@ RETRIES = 3
 NO_USAGE_STATISTICS = {"RAY_USAGE_STATS_ENABLED": "0"}
 """Ray would report home what it runs on, unless the user says otherwise."""
 
+FEW_OOM_RETRIES = {"RAY_task_oom_retries": str(RETRIES)}
+"""Where memory runs out, Ray would start a task anew without end: a log that is too large would hold up its batch."""
+
 
 def cores() -> int:
     """How many this process may use."""
@@ -64,15 +67,25 @@ def on_ray(tasks: Mapping[str, Task], work: Callable[[Task], Row], jobs: int | N
             try:
                 row: Row = ray.get(ready)
             except ray.exceptions.RayError as error:
-                row = {ERROR: f"its Ray worker died {RETRIES + 1} times ({type(error).__name__})"}
+                row = {ERROR: _why(error)}
             yield name, row
+
+
+def _why(error: Exception) -> str:
+    """Why there is no row, in one line, of an error that Ray raised."""
+    from ray.exceptions import OutOfMemoryError, RayTaskError
+
+    if isinstance(error, OutOfMemoryError):
+        return "its Ray worker was ended each time that it was tried, since its machine's memory ran out"
+    if isinstance(error, RayTaskError):  # `attempt` lets none through: the worker did not come as far
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+        return f"its Ray worker could not begin: {lines[-1] if lines else type(error).__name__:.200}"
+    return f"its Ray worker died {RETRIES + 1} times ({type(error).__name__})"
 
 
 @contextmanager
 def _connected(address: str | None, jobs: int | None) -> Iterator[Any]:
     """Ray, connected to the cluster, or with one of its own; what still runs is stopped in the end."""
-    for name, value in NO_USAGE_STATISTICS.items():
-        os.environ.setdefault(name, value)
     ray = load_ray()
     if address is not None:
         _check_reachable(address)
@@ -80,7 +93,7 @@ def _connected(address: str | None, jobs: int | None) -> Iterator[Any]:
     with redirect_stdout(sys.stderr):  # Ray prints there what happens to its workers
         try:
             ray.init(address or "local", log_to_driver=False, logging_level="ERROR", **own)
-        except (ConnectionError, ValueError, RuntimeError) as error:
+        except Exception as error:  # where a cluster takes too long to start, Ray raises a bare Exception
             raise _no_cluster(address or "this machine", error) from None
         try:
             yield ray
@@ -104,7 +117,9 @@ def _no_cluster(where: str, error: Exception) -> AdcbfError:
 
 
 def load_ray() -> Any:
-    """The package; UsageError where it is not installed."""
+    """The package, told what it reads when it is loaded; UsageError where it is not installed."""
+    for name, value in {**NO_USAGE_STATISTICS, **FEW_OOM_RETRIES}.items():
+        os.environ.setdefault(name, value)
     try:
         import ray
     except ImportError:

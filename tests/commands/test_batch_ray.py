@@ -48,9 +48,9 @@ def logs(tmp_path: Path) -> Path:
 
 def test_a_worker_killed_in_the_middle_changes_nothing(logs: Path) -> None:
     """The log is begun anew by another worker; the results are those of processes, to the byte."""
-    calm = adcbf(*COMMAND, "-o", "calm.batch", "--", "cluster", cwd=logs)
+    calm = adcbf(*COMMAND, "-o", "calm.batch", "--", "run", cwd=logs)
     batch = logs / "hurt.batch"
-    began = [*COMMAND, "--engine", "ray", "-o", batch.name, "--", "cluster"]
+    began = [*COMMAND, "--engine", "ray", "-o", batch.name, "--", "run"]
     with subprocess.Popen(
         [sys.executable, "-m", "adcbf_cli", *began], cwd=logs, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as running:
@@ -71,6 +71,7 @@ def test_a_worker_killed_in_the_middle_changes_nothing(logs: Path) -> None:
     assert told == (batch / "batch.jsonl").read_text()
     assert errors.splitlines()[-1] == "adcbf: 4 logs: 3 done, 1 failed; hurt.batch"
     assert contents(batch) == contents(logs / "calm.batch")
+    assert rows(batch)["long"]["metrics"]["clusters.per_frame"] > 1
 
 
 def test_a_cluster_that_is_there_already_is_used_by_its_address(logs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -125,6 +126,29 @@ def test_tasks_run_at_the_same_time_in_other_processes_and_dead_ones_are_told(tm
     tries = batch_engines.RETRIES + 1
     assert found["dies"]["error"].startswith(f"its Ray worker died {tries} times")
     assert sum(line.split()[0] == "0" for line in log.read_text().splitlines()) == tries
+
+
+def test_each_way_to_end_is_told_as_what_it_was() -> None:
+    from ray.exceptions import OutOfMemoryError, RayTaskError, WorkerCrashedError
+
+    traceback = "Traceback (most recent call last):\n  File x\nModuleNotFoundError: No module named 'adcbf_cli'\n"
+    lacking = RayTaskError("attempt", traceback, ModuleNotFoundError("No module named 'adcbf_cli'"))
+    assert batch_engines._why(lacking).endswith("could not begin: ModuleNotFoundError: No module named 'adcbf_cli'")
+    assert batch_engines._why(OutOfMemoryError("1 worker was killed\nat 15 GB")).endswith(
+        "its machine's memory ran out"
+    )
+    assert batch_engines._why(WorkerCrashedError()) == "its Ray worker died 4 times (WorkerCrashedError)"
+
+
+def test_where_memory_runs_out_ray_does_not_try_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ray reads it from the environment; what the user says there counts."""
+    (name,) = batch_engines.FEW_OOM_RETRIES
+    monkeypatch.setenv(name, "7")
+    batch_engines.load_ray()
+    assert os.environ[name] == "7"
+    monkeypatch.delenv(name)
+    batch_engines.load_ray()
+    assert os.environ[name] == str(batch_engines.RETRIES)
 
 
 def test_ray_reports_nothing_home(monkeypatch: pytest.MonkeyPatch) -> None:
