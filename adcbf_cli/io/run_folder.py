@@ -230,6 +230,7 @@ class RunFolder:
             try:
                 yield
             finally:
+                remove_leftovers(self.path)  # a stop while a file was being opened leaves it to the garbage collector
                 if made and [*self.path.iterdir()] == [lock]:  # nothing came of it: no folder either
                     lock.unlink()
                     with suppress(OSError):

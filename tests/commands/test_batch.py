@@ -397,7 +397,7 @@ def test_logs_that_are_no_longer_named_leave_the_tables(logs: Path) -> None:
     batch = logs / "adcbf.batch"
     assert pd.read_parquet(batch / "summary")["log"].tolist() == ["walk1"]
     assert (batch / "runs" / "log=walk0" / "clusters.parquet").exists()
-    assert "no longer in its tables: walk0" in done.stderr
+    assert "no longer in the tables, since not among these: 1 log of an earlier batch: walk0" in done.stderr
 
 
 def test_any_command_on_each_log_with_what_is_its_own(logs: Path) -> None:
