@@ -153,35 +153,24 @@ def test_where_memory_runs_out_ray_does_not_try_for_ever(monkeypatch: pytest.Mon
 
 def test_ray_reports_nothing_home(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("RAY_USAGE_STATS_ENABLED", raising=False)
-    ray, earlier = batch_engines.load_ray(), descendants()
+    ray = batch_engines.load_ray()
     with batch_engines._connected(None, 1):
         assert ray.get(ray.remote(os.getenv).remote("RAY_USAGE_STATS_ENABLED")) == "0"
-        told = environments_of_ray(descendants() - earlier)
-    assert told == {"0"}, "of the cluster's own processes too, which would do the reporting"
+        told = usage_stats_of(Path("/tmp/ray/session_latest").resolve().name)
+    assert set(told.values()) == {"0"}, told
 
 
-def descendants() -> set[int]:
-    """The processes that this one started, and those that they started."""
-    parents: dict[int, int] = {}
-    for stat in Path("/proc").glob("[0-9]*/stat"):
+def usage_stats_of(session: str) -> dict[str, str | None]:
+    """What each of a cluster's own processes, which would do the reporting, has been told; by its first word."""
+    told = {}
+    for process in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):
-            parents[int(stat.parts[2])] = int(stat.read_text().rpartition(")")[2].split()[1])
-    mine = {os.getpid()}
-    while more := {pid for pid, parent in parents.items() if parent in mine} - mine:
-        mine |= more
-    return mine - {os.getpid()}
-
-
-def environments_of_ray(processes: set[int]) -> set[str | None]:
-    """What those of Ray among these have been told."""
-    found = set()
-    for pid in processes:
-        with suppress(OSError):
-            variables = Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
-            if any(variable.startswith(b"RAY_") for variable in variables):
-                value = [v.partition(b"=")[2].decode() for v in variables if v.startswith(b"RAY_USAGE_STATS_ENABLED=")]
-                found.add(value[0] if value else None)
-    return found
+            words = (process / "cmdline").read_bytes().decode().split("\0")
+            if any(session in word for word in words):
+                variables = (process / "environ").read_bytes().decode().split("\0")
+                value = [v.partition("=")[2] for v in variables if v.startswith("RAY_USAGE_STATS_ENABLED=")]
+                told[f"{words[0]} {process.name}"] = value[0] if value else None
+    return told
 
 
 def test_no_cluster_at_the_address_is_one_line(logs: Path) -> None:
