@@ -96,7 +96,7 @@ def test_the_page_to_send_is_there(typed: tuple[Path, dict[str, str], str]) -> N
 def test_two_runs_are_compared_and_a_missed_threshold_is_an_exit_code(typed: tuple[Path, dict[str, str], str]) -> None:
     compared = output_of(typed, "adcbf compare sample.adcbf ekf.adcbf")
     assert "difference" in compared
-    assert "exit code 4" in output_of(typed, "adcbf evaluate sample.adcbf")
+    assert "exit code 4" in output_of(typed, "adcbf evaluate ekf.adcbf")
 
 
 def test_a_scene_is_simulated_with_its_truth(typed: tuple[Path, dict[str, str], str]) -> None:

@@ -68,7 +68,7 @@ def score_run(shared: Shared, truth: str | None, fail_on: list[str], with_facts:
     from adcbf_cli.commands.summary import exit_for, print_facts, summarise
     from adcbf_cli.commands.viz import write_viz
     from adcbf_cli.core.evaluation.thresholds import check_names, missed, parse_threshold
-    from adcbf_cli.io.report import remove_page, report_document, write_report
+    from adcbf_cli.io.report import report_document, write_report
     from adcbf_cli.io.score_blocks import write_score_blocks
     from adcbf_cli.io.truth import read_truth_option
 
@@ -85,7 +85,6 @@ def score_run(shared: Shared, truth: str | None, fail_on: list[str], with_facts:
     failures = missed(thresholds, report)
     document = report_document(report, _provenance(outcome, truth, thresholds, failures))
     with outcome.folder.locked():
-        remove_page(outcome.folder.path)
         write_report(outcome.folder.path, document, report)
         write_score_blocks(outcome.folder.path, report.metrics)
     write_viz(outcome, shared.viz)

@@ -77,8 +77,12 @@ def report_document(report: Report, provenance: dict[str, Any]) -> dict[str, Any
 
 
 def write_report(folder: Path, document: dict[str, Any], report: Report) -> None:
-    """Writes both files into the run folder, each whole or not at all."""
-    write_text_atomically(folder / JSON_NAME, json.dumps(document, indent=2, allow_nan=False) + "\n")
+    """Writes both files into the run folder, each whole or not at all. A page that shows another score is removed."""
+    text = json.dumps(document, indent=2, allow_nan=False) + "\n"
+    stored = folder / JSON_NAME
+    if not stored.is_file() or stored.read_bytes() != text.encode():
+        remove_page(folder)
+    write_text_atomically(stored, text)
     write_text_atomically(folder / MARKDOWN_NAME, markdown(document, report))
 
 
