@@ -144,10 +144,8 @@ def still(
     windows_s = np.array([1.0, RECENT_SHARE, LONG_FACTOR]) * config.static_window_s
     whole, recent, long = _fit(sightings, now_s, windows_s)
     least, size_m = config.static_speed_mps, WANDER_SHARE * radius_m
-    known = (whole.count >= MIN_SIGHTINGS) & (whole.span_s >= SHORTEST_SHARE * config.static_window_s)
-    drift = common_drift(whole, known)
-    starts = _exceeds(whole, drift, size_m, least) | _exceeds(recent, drift, size_m, RECENT_MIN_SPEED_FACTOR * least)
-    starts |= _creeps(whole, long, drift, size_m, config)
+    known, drift = _known(whole, config)
+    starts = _starts(whole, recent, drift, size_m, least) | _creeps(whole, long, drift, size_m, config)
     speed = np.linalg.norm(whole.velocity_mps - drift, axis=1)
     slow = speed <= SLOWEST_CLEAR_MOTION * least + _viewpoint_drift(whole, size_m)
     settled = speed < STAY_MOVING_FRACTION * _feigned_speed(whole, size_m, least)
@@ -158,10 +156,19 @@ def still(
 def known_to_move(sightings: Sightings, now_s: float, radius_m: FloatArray, config: TrackingConfig) -> BoolArray:
     """(n,) which tracks move beyond doubt: more than they would feign if their centre wandered by the whole radius."""
     whole, recent = _fit(sightings, now_s, np.array([1.0, RECENT_SHARE]) * config.static_window_s)
-    least = config.static_speed_mps
+    return _starts(whole, recent, _known(whole, config)[1], radius_m, config.static_speed_mps)
+
+
+def _known(whole: Slope, config: TrackingConfig) -> tuple[BoolArray, FloatArray]:
+    """(n,) which tracks were seen long enough to say that they stand, and the drift (2,) that these share."""
     known = (whole.count >= MIN_SIGHTINGS) & (whole.span_s >= SHORTEST_SHARE * config.static_window_s)
-    drift = common_drift(whole, known)
-    return _exceeds(whole, drift, radius_m, least) | _exceeds(recent, drift, radius_m, RECENT_MIN_SPEED_FACTOR * least)
+    return known, common_drift(whole, known)
+
+
+def _starts(whole: Slope, recent: Slope, drift: FloatArray, size_m: FloatArray, least_speed_mps: float) -> BoolArray:
+    """(n,) which tracks were too fast to stand, over the window or, by far, over its newest part."""
+    newest = _exceeds(recent, drift, size_m, RECENT_MIN_SPEED_FACTOR * least_speed_mps)
+    return _exceeds(whole, drift, size_m, least_speed_mps) | newest
 
 
 def _exceeds(slope: Slope, drift: FloatArray, size_m: FloatArray, least_speed_mps: float) -> BoolArray:
