@@ -8,10 +8,10 @@ from typing import Any
 from adcbf_cli.core.config import Config
 from adcbf_cli.io.report import JSON_NAME, PAGE
 from adcbf_cli.io.run_folder import DRIVING, STAGES, TABLES, Manifest, RunFolder
+from adcbf_cli.io.run_settings import settings_made_with
 
 _TOLD = (JSON_NAME, PAGE, *(f"{folder}/{JSON_NAME}" for folder in DRIVING.values()))
 """Of the reports that go, the ones that stand for the others beside them."""
-_SECTIONS = ("read", "perception", "tracking", "prediction")
 _MOST = 3
 
 
@@ -27,7 +27,7 @@ def what_goes(
     if not RunFolder.is_one(folder.path):
         return None
     changes = [] if old is None else _changes(old.config, new.config)
-    fallen_back = [name for name, _, now in changes if now == _flat(Config())[name]]
+    fallen_back = [name for name, _, now in changes if now == _of_tables(Config())[name]]
     gone = [stage for stage in STAGES if stage not in valid and stage not in todo]
     tables = [f"{name}.parquet" for stage in gone for name in TABLES[stage]]
     removed = [name for name in (*tables, *_TOLD) if (folder.path / name).exists()]
@@ -56,13 +56,12 @@ def _why(old: Manifest | None, new: Manifest, changes: list[tuple[str, Any, Any]
 
 def _changes(old: Config, new: Config) -> list[tuple[str, Any, Any]]:
     """The settings of the stages that differ: name, before, now."""
-    before, now = _flat(old), _flat(new)
+    before, now = _of_tables(old), _of_tables(new)
     return [(name, before[name], value) for name, value in now.items() if before[name] != value]
 
 
-def _flat(config: Config) -> dict[str, Any]:
-    document = config.model_dump(mode="json")
-    return {f"{section}.{name}": value for section in _SECTIONS for name, value in document[section].items()}
+def _of_tables(config: Config) -> dict[str, Any]:
+    return settings_made_with(config, None, {})["tables"]
 
 
 def _shown(value: Any) -> str:
