@@ -5,7 +5,9 @@ learn its body from it, and what the cluster has beyond the body is on the other
 
 Each track has at most one home: the smallest cluster whose rectangle holds the place where the track's
 visible part is expected. A cluster is shared where a track that stands still and one that moves are both
-at home in it. Tracks that move alike are more likely parts of one body that was seen in pieces before.
+at home in it, or two that move differently beyond doubt and are both smaller than it. Tracks that move
+alike are more likely parts of one body that was seen in pieces before, and so are those of which one is
+as large as the cluster.
 """
 
 from __future__ import annotations
@@ -14,7 +16,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from adcbf_cli.core.tracking.linalg import inverted, quadratic_form
 from adcbf_cli.core.types import NO_ID, BoolArray, Clusters, FloatArray, IntArray
+
+PARTING_MPS = 0.5
+PARTING_SIGMAS = 2.45
+"""Two tracks move differently where their velocities differ by more than both, and 95 % of equal ones do not."""
+LARGER = 1.2
+"""Times a track's radius, that a cluster which holds more than its body has at least."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,16 +40,41 @@ class Sharing:
         return shared
 
 
-def share_clusters(home: IntArray, visible_m: FloatArray, is_static: BoolArray, is_moving: BoolArray) -> Sharing:
+def share_clusters(home: IntArray, visible_m: FloatArray, unlike: BoolArray) -> Sharing:
     """Which cluster each of n tracks shares with others.
 
     home: (n,) as from `homes`; visible_m: (n, 2) where the tracks' visible parts are expected, world;
-    is_static, is_moving: (n,) which are known to stand still and which are known to move; neither: unknown.
+    unlike: (n, n) which tracks are not parts of one body.
     """
-    unlike = (is_static[:, None] & is_moving[None, :]) | (is_moving[:, None] & is_static[None, :])
     others = (unlike & (home[:, None] == home[None, :]) & (home != NO_ID)[:, None]).astype(np.float64)
     count = others.sum(axis=1)
     return Sharing(np.where(count > 0, home, NO_ID), others @ visible_m / np.maximum(count, 1.0)[:, None])
+
+
+def stand_and_move(is_static: BoolArray, is_moving: BoolArray) -> BoolArray:
+    """(n, n) of which tracks one is known to stand still and the other to move, both (n,); neither: unknown."""
+    return np.asarray((is_static[:, None] & is_moving[None, :]) | (is_moving[:, None] & is_static[None, :]))
+
+
+def part_company(
+    home: IntArray,
+    velocity_mps: FloatArray,
+    covariance: FloatArray,
+    radius_m: FloatArray,
+    clusters: Clusters,
+) -> BoolArray:
+    """(n, n) which tracks move differently, and are smaller than their homes.
+
+    velocity_mps: (n, 2), its covariance (n, 2, 2) and radius_m (n,), as the tracks were before this frame.
+    """
+    result = np.zeros((len(home), len(home)), dtype=np.bool_)
+    small = np.flatnonzero(home != NO_ID)
+    small = small[clusters.radius_m[home[small]] > LARGER * radius_m[small]]
+    between = velocity_mps[small, None] - velocity_mps[small]
+    precision = inverted(covariance[small, None] + covariance[small])
+    beyond_doubt = quadratic_form(between, precision) > PARTING_SIGMAS**2
+    result[np.ix_(small, small)] = beyond_doubt & (np.linalg.norm(between, axis=-1) > PARTING_MPS)
+    return result
 
 
 def homes(visible_m: FloatArray, eligible: BoolArray, clusters: Clusters, margin_m: FloatArray) -> IntArray:

@@ -21,7 +21,7 @@ from adcbf_cli.core.tracking.filters import BatchFilter
 from adcbf_cli.core.tracking.linalg import inverted, quadratic_form, symmetrised
 from adcbf_cli.core.tracking.measurement import noise_along_axes, nominal_variance
 from adcbf_cli.core.tracking.modes import ModeChain, combine, mix, reweighed
-from adcbf_cli.core.tracking.sharing import Sharing, homes, share_clusters
+from adcbf_cli.core.tracking.sharing import Sharing, homes, part_company, share_clusters, stand_and_move
 from adcbf_cli.core.tracking.standing import hold_faint, hold_structures
 from adcbf_cli.core.tracking.stillness import Sightings, known_to_move, still
 from adcbf_cli.core.tracking.structures import wall_pieces
@@ -179,7 +179,9 @@ class Tracker:
         margin_m = np.sqrt(self._config.sigma_range_m**2 + covariance[:, 0, 0] + covariance[:, 1, 1])
         home = homes(visible_m, followed, clusters, margin_m)
         is_moving = known_to_move(bank.sightings, self._now_s, bank.radius_m, self._config)
-        return share_clusters(home, visible_m, bank.is_static, is_moving)
+        unlike = stand_and_move(bank.is_static, is_moving)
+        unlike |= part_company(home, state[:, 3:5], covariance[:, 3:5, 3:5], bank.radius_m, clusters)
+        return share_clusters(home, visible_m, unlike)
 
     def _associate(
         self,

@@ -8,7 +8,7 @@ import pytest
 from adcbf_cli.core.config import TrackingConfig
 from adcbf_cli.core.frames import invert, transform_points
 from adcbf_cli.core.tracking.bodies import cut_surplus
-from adcbf_cli.core.tracking.sharing import homes, share_clusters
+from adcbf_cli.core.tracking.sharing import homes, part_company, share_clusters, stand_and_move
 from adcbf_cli.core.tracking.tracker import Tracker
 from adcbf_cli.core.types import NO_ID, Clusters, Notes, PointCounts, Tracks, TrackStatus
 
@@ -59,10 +59,40 @@ def test_only_a_standing_and_a_moving_track_share() -> None:
     place = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [9.0, 9.0], [0.0, 0.0]])
     static = np.array([False, True, False, True, True])
     moving = np.array([True, False, False, False, False])
-    sharing = share_clusters(home, place, static, moving)
+    sharing = share_clusters(home, place, stand_and_move(static, moving))
     assert sharing.home.tolist() == [0, 0, NO_ID, NO_ID, NO_ID]
     assert sharing.others_m[:2].tolist() == [[1.0, 0.0], [0.0, 0.0]]
     assert sharing.pairs(2).sum() == 2
+
+
+def test_tracks_that_move_differently_part_company_in_what_is_larger_than_both() -> None:
+    clusters = boxes(0.0, [(0, 0, 1.2, 0.5), (5, 0, 6.2, 0.5)])  # radius 0.65 m
+    home = np.array([0, 0, 0, 1, NO_ID, 0])
+    velocity = np.array([[1.0, 0.0], [-0.2, 0.0], [1.1, 0.1], [-1.0, 0.0], [-1.0, 0.0], [-1.0, 0.0]])
+    radius = np.array([0.3, 0.2, 0.3, 0.3, 0.3, 0.6])
+    sure, unsure = np.tile(0.1**2 * np.eye(2), (6, 1, 1)), np.tile(0.5**2 * np.eye(2), (6, 1, 1))
+    apart = part_company(home, velocity, sure, radius, clusters)
+    assert apart[0].tolist() == apart[2].tolist() == [False, True, False, True, False, False]
+    assert not apart[4:].any()
+    assert (apart == apart.T).all()
+    assert not part_company(home, velocity, unsure, radius, clusters)[:3, :3].any()
+    assert not part_company(np.full(6, NO_ID), velocity, sure, radius, clusters).any()
+
+
+def test_two_that_meet_keep_their_speeds_and_sizes() -> None:
+    """Known for half a second only, so that nobody knows of either that it moves, let alone stands."""
+    tracker = Tracker(TrackingConfig(), Notes())
+    for k in range(17):
+        a, b = -1.0 + 0.12 * k, 1.0 - 0.12 * k
+        both = [(a - 0.2, -0.2, a + 0.2, 0.2), (b - 0.2, 0.3, b + 0.2, 0.7)]
+        if abs(a - b) < 0.8:
+            both = [(min(a, b) - 0.2, -0.2, max(a, b) + 0.2, 0.7)]
+        tracks = tracker(boxes(0.1 * k, both))
+    for place, speed in (((a, 0.0), 1.2), ((b, 0.5), -1.2)):
+        row = np.argmin(np.hypot(*(tracks.state[:, :2] - place).T))
+        assert tracks.state[row, :2] == pytest.approx(place, abs=0.03)
+        assert tracks.state[row, 3:5] == pytest.approx([speed, 0.0], abs=0.05)
+        assert tracks.radius_m[row] < 0.33  # 0.28 m, and 0.6 m together
 
 
 def test_what_is_beyond_the_body_is_on_the_others_side() -> None:
