@@ -34,7 +34,7 @@ def driving_document(
         "schema_version": 1,
         "mode": "closed loop" if kind == "replay" else "open loop",
         "counterfactual": _COUNTERFACTUAL if kind == "replay" else None,
-        "source": {"name": Path(source.path).name, "sha256": source.sha256},
+        "source": {"name": source.name, "sha256": source.sha256},
         "world": setting.world_source,
         "world_sha256": setting.world.sha256,
         "route": {

@@ -181,7 +181,7 @@ def _provenance(
         with Path(truth_spec).open("rb") as handle:
             truth_sha256 = hashlib.file_digest(handle, "sha256").hexdigest()
     return {
-        "source": {"name": Path(outcome.manifest.source.path).name, "sha256": outcome.manifest.source.sha256},
+        "source": {"name": outcome.manifest.source.name, "sha256": outcome.manifest.source.sha256},
         "truth_sha256": truth_sha256,
         "thresholds": [str(t) for t in thresholds],
         "thresholds_missed": failures,

@@ -77,6 +77,6 @@ def _save_calibration(target: Path, outcome: Outcome) -> None:
 
     config, source = outcome.manifest.config, outcome.manifest.source
     calibration = learn_calibration(
-        read_tracks(outcome.folder.path), config.prediction, config.tracking, outcome.notes, Path(source.path).name
+        read_tracks(outcome.folder.path), config.prediction, config.tracking, outcome.notes, source.name
     )
     write_text_atomically(target, json.dumps(calibration.to_dict(), indent=2, allow_nan=False) + "\n")

@@ -32,6 +32,7 @@ from adcbf_cli.core.plugins import Kind
 from adcbf_cli.core.timing import RecordingTimer
 from adcbf_cli.core.types import Clusters, Frame, Notes, Predictions, Tracks, Truth
 from adcbf_cli.io import tables
+from adcbf_cli.io.log_base import printable
 from adcbf_cli.io.parquet import TableWriter
 from adcbf_cli.io.plugin_versions import stage_plugins
 from adcbf_cli.io.report import FIGURE_FILES, PAGE
@@ -111,7 +112,12 @@ def plan_job(shared: Shared, overrides: dict[str, Any] | None = None, calibratio
 
 
 def _check_free(folder: Path) -> None:
-    """UsageError where another command's results are, which a run's report would overwrite."""
+    """UsageError where no table can be written, or another command's results are, which a run's report would
+    overwrite."""
+    try:
+        str(folder).encode()
+    except UnicodeEncodeError:
+        raise UsageError(f"-o {printable(str(folder))}: not UTF-8, as the names of tables have to be") from None
     batch = (folder / "batch.jsonl").exists() or any(folder.glob("runs/log=*"))
     if batch or (folder / "runs.jsonl").exists():
         what = "a batch" if batch else "the runs of a closed loop"
@@ -119,9 +125,9 @@ def _check_free(folder: Path) -> None:
 
 
 def log_stem(log: Path) -> str:
-    """The name that a log's run folder is made from: the file's without its suffix."""
+    """The name that a log's run folder is made from: the file's without its suffix, as text that any tool can read."""
     resolved = log.resolve()
-    return resolved.name if resolved.is_dir() else resolved.stem
+    return printable(resolved.name if resolved.is_dir() else resolved.stem)
 
 
 def run_stages(job: Job, upto: str, force: bool = False) -> Outcome:
@@ -281,7 +287,7 @@ def _open_writers(
     job: Job, keys: dict[str, str], todo: tuple[str, ...], manifest: Manifest, stack: ExitStack
 ) -> dict[str, TableWriter]:
     provenance = {
-        "source": {"name": Path(job.source.path).name, "sha256": job.source.sha256},
+        "source": {"name": job.source.name, "sha256": job.source.sha256},
         "selection": manifest.selection,
         "config": job.config.model_dump(mode="json"),
         "plugins": manifest.plugins,

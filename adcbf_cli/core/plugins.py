@@ -91,13 +91,23 @@ def load_plugin(plugin: Plugin) -> Callable[..., Any]:
     if not callable(made):
         raise UsageError(f"{plugin}: {plugin.target!r} is a {type(made).__name__}, where something to call is wanted")
     wanted, attributes = _RETURNS.get(plugin.kind, ("", ()))
+    make = guarded(plugin, made)
 
     def call(*given: Any) -> Any:
-        with _named(plugin, "failed"):
-            found = made(*given)
+        found = make(*given)
         if not all(hasattr(found, attribute) for attribute in attributes):
             raise malformed(plugin, f"it returns a {type(found).__name__}, where a {wanted} is wanted")
         return found
+
+    return call
+
+
+def guarded(plugin: Plugin, function: Callable[..., Any]) -> Callable[..., Any]:
+    """The plugin's function, with a UsageError that names the plugin in place of whatever it raises."""
+
+    def call(*given: Any) -> Any:
+        with _named(plugin, "failed"):
+            return function(*given)
 
     return call
 

@@ -80,6 +80,11 @@ class Source:
     sha256: str
     files: tuple[SourceFile, ...]
 
+    @property
+    def name(self) -> str:
+        """The log's own name, as text that can be shown and written."""
+        return printable(Path(self.path).name)
+
 
 @dataclass(frozen=True)
 class StageRecord:
@@ -275,7 +280,7 @@ def identify_source(path: str, files: tuple[Path, ...]) -> Source:
     for file in files:
         with file.open("rb") as handle:
             digest = hashlib.file_digest(handle, "sha256").hexdigest()
-        described.append(SourceFile(file.name, file.stat().st_size, digest))
+        described.append(SourceFile(printable(file.name), file.stat().st_size, digest))
     if len(files) == 1 and files[0].suffix.lower() != ".pcd":
         return Source(path, described[0].sha256, tuple(described))
     text = json.dumps([[f.name, f.sha256] for f in described])

@@ -54,7 +54,7 @@ def read_scored_run(path: Path, name: str) -> ScoredRun:
     return ScoredRun(
         name=name,
         version=printable(str((table_metadata(folder.table("frames")) or {}).get("adcbf", "unknown"))),
-        source_name=printable(Path(manifest.source.path).name),
+        source_name=manifest.source.name,
         source_sha256=manifest.source.sha256,
         truth=truth,
         settings=settings,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import random
 import resource
 import signal
@@ -311,3 +312,16 @@ def test_settings_are_dumped_and_described(tmp_path: Path) -> None:
     assert adcbf("config", "dump", "--config", tmp_path / "run.yaml").stdout == dumped.stdout
     schema = json.loads(adcbf("config", "schema").stdout)
     assert "TrackingConfig" in schema["$defs"]
+
+
+def test_a_name_that_is_not_text_is_shown_as_far_as_it_is(log: Path, tmp_path: Path) -> None:
+    odd = tmp_path / os.fsdecode(b"a\xff.mcap")
+    odd.write_bytes(log.read_bytes())
+    for arguments in (["info", odd, "--json"], ["run", odd, *RANGE], ["report", "a .adcbf", "--no-figures"]):
+        done = adcbf(*arguments, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    report = json.loads((tmp_path / "a .adcbf" / "report.json").read_text(encoding="utf-8"))
+    assert report["source"]["name"] == "a .mcap"
+    done = adcbf("run", odd, *RANGE, "-o", os.fsdecode(b"b\xff"), cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == "adcbf: error: -o b : not UTF-8, as the names of tables have to be\n"

@@ -213,6 +213,36 @@ def test_what_is_no_planner_is_refused(installed: Installed, source: str, why: s
         planner("odd-one")
 
 
+PLANNER = """
+class Make:
+    def __init__(self, name, *_): self.name = name
+    def plan(self, situation): return {plan}
+"""
+
+
+@pytest.mark.parametrize(
+    ("plan", "why"),
+    [
+        ("1 / 0", "failed .ZeroDivisionError: division by zero"),
+        ("situation.way", "failed .AttributeError: .*'way'"),
+        ("[0.0, 1.0]", "returns a list, where a Plan is wanted"),
+    ],
+)
+def test_what_goes_wrong_while_it_plans_is_told_as_the_packages(installed: Installed, plan: str, why: str) -> None:
+    installed.package("odd", PLANNER.format(plan=plan), "0.4", planners="odd-one = odd:Make")
+    made = planner("odd-one")
+    with pytest.raises(UsageError, match=f"the planner 'odd-one' of odd 0.4.* {why}"):
+        made.plan(None)  # type: ignore[attr-defined]
+
+
+def test_what_goes_wrong_in_a_model_is_told_as_the_packages(installed: Installed) -> None:
+    fragile = {**GOOD_MODEL, "propagate": "s if dt < 1.0 else s[:, 99]"}
+    installed.package("models", MODEL.format(**fragile), "0.3", motion_models="mine = models:still")
+    made = model("mine")
+    with pytest.raises(UsageError, match=r"the motion model 'mine' of models 0\.3 failed \(IndexError"):
+        made.propagate(np.zeros((2, 6)), 1.5)  # type: ignore[attr-defined]
+
+
 def test_a_clusterers_groups_are_renumbered_by_their_first_cell(installed: Installed) -> None:
     source = GROUPER.format(label="np.array([7, -1, 2, 7])", probability="np.array([1, 0.5, 0.2, 1])")
     installed.package("grouper", source, clusterers="mine = grouper:group")

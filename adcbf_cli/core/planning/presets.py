@@ -11,7 +11,7 @@ from adcbf_cli.core.errors import UsageError
 from adcbf_cli.core.planning.barrier import AdaptiveGamma, Barrier, FixedGamma, check_barrier
 from adcbf_cli.core.planning.dynamic_window import DynamicWindow
 from adcbf_cli.core.planning.mpc import MpcPlanner
-from adcbf_cli.core.planning.planner import Planner
+from adcbf_cli.core.planning.planner import Plan, Planner, Situation
 from adcbf_cli.core.planning.potential_field import PotentialField
 from adcbf_cli.core.planning.pure_pursuit import PurePursuit
 from adcbf_cli.core.types import Notes
@@ -91,7 +91,7 @@ def make_planner(name: str, vehicle: Vehicle, planning: PlanningConfig, notes: N
 
 
 def _plugin_planner(name: str, vehicle: Vehicle, planning: PlanningConfig, notes: Notes) -> Planner:
-    from adcbf_cli.core.plugins import Kind, find_plugin, load_plugin, malformed
+    from adcbf_cli.core.plugins import Kind, find_plugin, guarded, load_plugin, malformed
 
     if name in RESERVED:
         raise UsageError(f"no planner is called {name!r}; there are {', '.join(PLANNERS)}")
@@ -101,4 +101,20 @@ def _plugin_planner(name: str, vehicle: Vehicle, planning: PlanningConfig, notes
         raise malformed(plugin, "what it makes has no method `plan`")
     if getattr(planner, "name", None) != name:
         raise malformed(plugin, f"what it makes does not say `name` {name!r}, which results are kept under")
-    return planner
+    plan = guarded(plugin, planner.plan)
+
+    def checked(situation: Situation) -> Plan:
+        found = plan(situation)
+        if not isinstance(found, Plan):
+            raise malformed(plugin, f"its `plan` returns a {type(found).__name__}, where a Plan is wanted")
+        return found
+
+    return _Guest(name, checked)
+
+
+@dataclass(frozen=True, slots=True)
+class _Guest:
+    """A package's planner, with whatever goes wrong in it told as its own."""
+
+    name: str
+    plan: Callable[[Situation], Plan]

@@ -81,10 +81,16 @@ def build_motion_model(config: TrackingConfig, planar: bool) -> MotionModel:
 def _plugin_model(config: TrackingConfig, planar: bool) -> MotionModel:
     """A package's model, under the name that it was asked for by, tried on two states."""
     from adcbf_cli.core.errors import UsageError
-    from adcbf_cli.core.plugins import Kind, find_plugin, load_plugin, malformed
+    from adcbf_cli.core.plugins import Kind, find_plugin, guarded, load_plugin, malformed
 
     plugin = find_plugin(Kind.MOTION_MODEL, config.model, MOTION_MODELS)
-    model: MotionModel = load_plugin(plugin)(config, planar)
+    made: MotionModel = load_plugin(plugin)(config, planar)
+    model = replace(
+        made,
+        propagate=guarded(plugin, made.propagate),
+        jacobian=guarded(plugin, made.jacobian),
+        process_noise=guarded(plugin, made.process_noise),
+    )
     d = model.dimension
     if d < 6 or np.shape(model.initial_variance) != (d,):
         raise malformed(plugin, f"initial_variance {np.shape(model.initial_variance)} for a state of {d} (at least 6)")

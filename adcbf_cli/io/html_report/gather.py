@@ -301,8 +301,7 @@ def _about(
     rows = [
         (
             "Log",
-            f"{Path(source.path).name}, {_bytes(size)}"
-            + ("" if len(source.files) == 1 else f" in {len(source.files)} files"),
+            f"{source.name}, {_bytes(size)}" + ("" if len(source.files) == 1 else f" in {len(source.files)} files"),
         ),
         ("SHA-256", source.sha256),
         ("Scans", f"{scene['frames']:,} over {span_s:.1f} s"),
