@@ -21,6 +21,10 @@ from adcbf_cli.core.types import FloatArray
 MIN_PROBABILITY = 1e-6
 """No mode is ever ruled out for good."""
 
+MANOEUVRES_AT_FIRST = 0.9
+"""Probability that a new track manoeuvres: what is seen of it first changes, as it comes out from behind something or
+apart from its neighbour, and its centre with it, whether or not it keeps its course."""
+
 
 @dataclass(frozen=True, slots=True)
 class ModeChain:
@@ -42,6 +46,13 @@ class ModeChain:
         if len(self.noise_factor) == 1:
             return np.ones(1)
         return np.array([self.cruise_s, self.manoeuvre_s]) / (self.cruise_s + self.manoeuvre_s)
+
+    @property
+    def at_first(self) -> FloatArray:
+        """(m,) the probabilities of a new track's modes."""
+        if len(self.noise_factor) == 1:
+            return np.ones(1)
+        return np.array([1.0 - MANOEUVRES_AT_FIRST, MANOEUVRES_AT_FIRST])
 
     def transition(self, dt: float) -> FloatArray:
         """(m, m) probability of going from row's to column's mode within dt (s)."""

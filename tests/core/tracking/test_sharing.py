@@ -141,3 +141,13 @@ def test_a_new_track_near_the_sensor_is_not_drawn_towards_it() -> None:
             dx, dy = rng.normal(0.0, 0.005, 2)
             tracks = tracker(boxes(0.08 * k, [(dx - 0.19, dy, dx + 0.19, dy + 0.01)], pose))
             assert tracks.state[0, :2] == pytest.approx([0.0, 0.005], abs=0.03)
+
+
+def test_a_new_track_soon_forgets_what_its_first_views_feigned() -> None:
+    """Only a part of it is seen at first, as it comes out from behind something: its centre goes aside by 0.2 m."""
+    tracker = Tracker(TrackingConfig(), Notes())
+    for k in range(8):
+        x, off = 0.1 * k, 0.2 * max(3 - k, 0) / 3
+        tracks = tracker(boxes(0.1 * k, [(x - 0.2, off - 0.2, x + 0.2, off + 0.2)]))
+    assert tracks.state[0, 3:5] == pytest.approx([1.0, 0.0], abs=0.12)  # 0.22 m/s where it counts as keeping its course
+    assert tracks.manoeuvre[0] < 0.3
