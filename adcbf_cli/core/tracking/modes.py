@@ -23,7 +23,8 @@ MIN_PROBABILITY = 1e-6
 
 MANOEUVRES_AT_FIRST = 0.9
 """Probability that a new track manoeuvres: what is seen of it first changes, as it comes out from behind something or
-apart from its neighbour, and its centre with it, whether or not it keeps its course."""
+apart from its neighbour, and its centre with it, whether or not it keeps its course. Not for a planar laser, which
+sees a walker's legs: a track that manoeuvres follows each of their steps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +48,10 @@ class ModeChain:
             return np.ones(1)
         return np.array([self.cruise_s, self.manoeuvre_s]) / (self.cruise_s + self.manoeuvre_s)
 
-    @property
-    def at_first(self) -> FloatArray:
+    def at_first(self, planar: bool) -> FloatArray:
         """(m,) the probabilities of a new track's modes."""
-        if len(self.noise_factor) == 1:
-            return np.ones(1)
+        if planar or len(self.noise_factor) == 1:
+            return self.stationary
         return np.array([1.0 - MANOEUVRES_AT_FIRST, MANOEUVRES_AT_FIRST])
 
     def transition(self, dt: float) -> FloatArray:

@@ -296,7 +296,7 @@ class Tracker:
         )
         born.states = np.repeat(state[:, None], m, axis=1)
         born.covariances = np.repeat(symmetrised(covariance)[:, None], m, axis=1)
-        born.modes = np.tile(self._chain.at_first, (n, 1))
+        born.modes = np.tile(self._chain.at_first(clusters.planar), (n, 1))
         born.noise_scale = np.ones((n, 3))
         born.spread_m = spread_m[rows]
         born.radius_m = clusters.radius_m[rows].copy()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -148,6 +150,7 @@ def test_a_new_track_soon_forgets_what_its_first_views_feigned() -> None:
     tracker = Tracker(TrackingConfig(), Notes())
     for k in range(8):
         x, off = 0.1 * k, 0.2 * max(3 - k, 0) / 3
-        tracks = tracker(boxes(0.1 * k, [(x - 0.2, off - 0.2, x + 0.2, off + 0.2)]))
+        seen = boxes(0.1 * k, [(x - 0.2, off - 0.2, x + 0.2, off + 0.2)])
+        tracks = tracker(replace(seen, planar=False))
     assert tracks.state[0, 3:5] == pytest.approx([1.0, 0.0], abs=0.12)  # 0.22 m/s where it counts as keeping its course
     assert tracks.manoeuvre[0] < 0.3
