@@ -115,8 +115,8 @@ def group(cells_m, config, min_cluster_size, returns):
     monkeypatch.syspath_prepend(str(tmp_path))
     found = {check.name: check for check in doctor_checks._plugins()}
     assert {check.state for check in found.values()} == {"warning"}
-    assert "the planner 'idle' of strange 1.0: `plan` returns a NoneType" in found["planner idle"].detail
-    assert "the planner 'leaves' of strange 1.0: SystemExit: 4" in found["planner leaves"].detail
+    assert "the planner 'idle' of strange 1.0: its `plan` returns a NoneType" in found["planner idle"].detail
+    assert "the planner 'leaves' of strange 1.0 failed (SystemExit: 4)" in found["planner leaves"].detail
     assert "the planner 'greedy' of strange 1.0 failed (TypeError" in found["planner greedy"].detail
     assert "the clusterer 'group' of strange 1.0 failed (IndexError" in found["clusterer group"].detail
 
