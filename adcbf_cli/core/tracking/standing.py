@@ -26,13 +26,18 @@ def hold_structures(bank: TrackBank) -> None:
         _at_rest(bank, bank.is_structure)
 
 
-def hold_faint(bank: TrackBank, clusters: Clusters, now_s: float, states: FloatArray, covariances: FloatArray) -> None:
-    """Tracks that stand, end below the sensor and are seen only in small part where they are, stay for FADING_S as they
+def hold_faint(
+    bank: TrackBank, clusters: Clusters, now_s: float, states: FloatArray, covariances: FloatArray
+) -> BoolArray:
+    """(n,) which tracks are held, where their sightings tell no more of them.
+
+    Tracks that stand, end below the sensor and are seen only in small part where they are, stay for FADING_S as they
     were before this step, at (n, m, d), (n, m, d, d). What sinks below the lowest beam seems to move while less and
     less of it is seen; what rises above the sensor cannot sink there, and a person whose side is seen may walk."""
+    result = np.zeros(len(bank), dtype=np.bool_)
     seen = np.flatnonzero(bank.cluster_id != NO_ID)
     if not len(seen):
-        return
+        return result
     column = np.searchsorted(clusters.cluster_id, bank.cluster_id[seen])
     centre = combine(states[seen], covariances[seen], bank.modes[seen])[0][:, :2]
     off = np.hypot(*(clusters.centre_m[column, :2] - centre).T)
@@ -44,6 +49,8 @@ def hold_faint(bank: TrackBank, clusters: Clusters, now_s: float, states: FloatA
     bank.states[held] = states[held]
     bank.covariances[held] = covariances[held]
     _at_rest(bank, held)
+    result[held] = True
+    return result
 
 
 def _at_rest(bank: TrackBank, held: BoolArray | IntArray) -> None:

@@ -71,14 +71,15 @@ class Tracker:
             stood = bank.states.copy(), bank.covariances.copy()
             self._predict(bank, kalman, dt)
             taken = self._update(bank, kalman, clusters)
-            hold_faint(bank, clusters, self._now_s, *stood)
+            held = hold_faint(bank, clusters, self._now_s, *stood)
             self._end_and_confirm(bank)
             if not taken.all():
                 bank.append(self._born(kalman, clusters, ~taken))
             sensor_m = clusters.world_from_sensor[:2, 3]
             seen = bank.cluster_id != NO_ID
+            seen[: len(held)] &= ~held
             bank.sightings.add(seen, self._now_s, bank.seen_at_m, sensor_m)
-            # What is not seen stays what it was: in the end its last sightings, the least certain ones, would decide.
+            # What is not seen, or fades, stays what it was: else its last sightings, the least certain, would decide.
             stands = still(bank.is_static, bank.sightings, self._now_s, bank.radius_m, self._config)
             bank.is_static = bank.is_structure | np.where(seen, stands, bank.is_static)
             tracks = self._record(bank, clusters)

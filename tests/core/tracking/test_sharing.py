@@ -154,3 +154,18 @@ def test_a_new_track_soon_forgets_what_its_first_views_feigned() -> None:
         tracks = tracker(replace(seen, planar=False))
     assert tracks.state[0, 3:5] == pytest.approx([1.0, 0.0], abs=0.12)  # 0.22 m/s where it counts as keeping its course
     assert tracks.manoeuvre[0] < 0.3
+
+
+def test_what_fades_away_does_not_start_to_move() -> None:
+    """A low box sinks below the lowest beam: its last sightings go aside by 0.8 m a second, and it stands."""
+    shifts = (0.01, 0.02, 0.03, 0.04, 0.12, 0.2, 0.28, 0.36)
+    radii = (0.58, 0.55, 0.52, 0.49, 0.36, 0.3, 0.24, 0.21)
+    tracker = Tracker(TrackingConfig(), Notes())
+    for k, (shift, radius) in enumerate([(0.0, 0.6)] * 30 + list(zip(shifts, radii, strict=True))):
+        half = radius / np.sqrt(2)
+        seen = boxes(0.1 * k, [(2.0 - half, -shift - half, 2.0 + half, -shift + half)], np.eye(4))
+        low = np.array([[2.0, -shift, -0.3]])
+        seen = replace(seen, planar=False, centre_m=low, centre_sensor_m=low, height_m=np.array([0.4]))
+        tracks = tracker(seen)
+        assert tracks.is_static[0] or k < 29
+    assert np.hypot(*(tracks.state[0, :2] - [2.0, 0.0])) < 0.1
