@@ -142,7 +142,7 @@ SCHEMAS: dict[str, pa.Schema] = {
             ("block", pa.int64()),
             *_floats("sum", "count"),
             ("dealt", pa.bool_()),
-            ("root", pa.bool_()),
+            ("form", pa.string()),
         ]
     ),
     "summary": pa.schema(

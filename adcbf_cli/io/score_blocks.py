@@ -1,4 +1,4 @@
-"""`score_blocks.parquet`: what the means in report.json are made of, so that two runs on one log can be paired."""
+"""`score_blocks.parquet`: what the metrics in report.json are made of, so that two runs on one log can be paired."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import json
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from adcbf_cli.core.evaluation.blocks import Blocks
+from adcbf_cli.core.evaluation.blocks import Blocks, Form
 from adcbf_cli.core.evaluation.report import Metric
 from adcbf_cli.io.parquet import METADATA_KEY, SCHEMA_VERSION, TableWriter
 from adcbf_cli.io.report import JSON_NAME
@@ -37,7 +37,7 @@ def write_score_blocks(folder: Path, metrics: Mapping[str, Metric]) -> None:
                         "sum": blocks.sums,
                         "count": blocks.counts,
                         "dealt": np.full(count, blocks.dealt),
-                        "root": np.full(count, blocks.root),
+                        "form": pa.array([blocks.form] * count),
                     }
                 )
 
@@ -56,6 +56,8 @@ def read_score_blocks(folder: Path) -> dict[str, Blocks]:
     if not table.schema.equals(SCHEMAS[_TABLE]):
         return {}
     columns = {name: table[name].to_numpy() for name in table.schema.names}
+    if not set(columns["form"]) <= set(get_args(Form)):
+        return {}
     names = columns["metric"]
     starts = [i for i in range(len(names)) if i == 0 or names[i] != names[i - 1]]
     return {str(names[i]): _blocks(columns, slice(i, j)) for i, j in pairwise([*starts, len(names)])}
@@ -67,7 +69,7 @@ def _blocks(columns: Mapping[str, Any], rows: slice) -> Blocks:
         sums=columns["sum"][rows],
         counts=columns["count"][rows],
         dealt=bool(columns["dealt"][rows][0]),
-        root=bool(columns["root"][rows][0]),
+        form=columns["form"][rows][0],
     )
 
 

@@ -38,14 +38,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_blocks_add_up_to_the_metrics(folder: Path) -> None:
     """An independent reading of score_blocks.parquet gives the report's own values."""
+    value_of = {
+        "mean": lambda total, count: total / count,
+        "root_mean": lambda total, count: (total / count) ** 0.5,
+        "total": lambda total, count: total,
+    }
     metrics = json.loads((folder / "main" / "report.json").read_text())["metrics"]
     rows = pq.read_table(folder / "main" / "score_blocks.parquet").to_pandas()
     assert rows["metric"].nunique() > 100
     for name, mine in rows.groupby("metric"):
-        mean = mine["sum"].sum() / mine["count"].sum()
-        expected = mean**0.5 if mine["root"].all() else mean
+        (form,) = mine["form"].unique()
+        expected = value_of[form](mine["sum"].sum(), mine["count"].sum())
         assert metrics[name]["value"] == pytest.approx(expected), name
-        assert metrics[name]["n"] == mine["count"].sum(), name
+        if form != "total" and not name.startswith("hota."):  # frames and stretches are counted there
+            assert metrics[name]["n"] == mine["count"].sum(), name
         assert mine["block"].is_monotonic_increasing
 
 
@@ -69,6 +75,23 @@ def test_differences_are_those_of_the_reports(folder: Path) -> None:
     assert run["metrics"]["later_seen.rmse_x_m"]["no_interval"] == "fewer than 5 blocks of 5 s"
     without_truth = run["metrics"]["replay.pure-pursuit.min_dist_m"]["no_interval"]
     assert without_truth == "another world, route or start: drives of a seed are no pairs", "each has its own tracks"
+
+
+def test_counts_scores_and_biases_have_intervals_too(folder: Path, tmp_path: Path) -> None:
+    """Six seconds are too few blocks of 5 s, and enough of 1 s."""
+    for name in ("main", "branch"):
+        shutil.copytree(folder / name, tmp_path / name)
+        setting = ("--set", "evaluation.bootstrap_block_s=1")
+        done = adcbf("evaluate", tmp_path / name, "--truth", SAMPLE / "truth.csv", *setting)
+        assert done.returncode == 0, done.stderr
+    (run,) = json.loads(adcbf("compare", "main", "branch", "--json", cwd=tmp_path).stdout)["runs"]
+    for name in ("clear.mota", "clear.misses", "hota.hota", "hota.loc_a", "tracking.bias_along_m", "tracks.per_frame"):
+        entry = run["metrics"][name]
+        assert (entry["paired_by"], entry["no_interval"]) == ("blocks of 1 s", None), name
+        assert entry["pairs"] >= 6, name
+        assert entry["interval_95"][0] <= entry["difference"] <= entry["interval_95"][1], name
+    whole = {name for name, entry in run["metrics"].items() if entry["no_interval"] == "one number for the whole log"}
+    assert whole == {f"tracks.{name}.{q}" for name in ("life_s", "speed_mps") for q in ("median", "p90")}
 
 
 def test_a_run_differs_from_itself_by_nothing(folder: Path, tmp_path: Path) -> None:

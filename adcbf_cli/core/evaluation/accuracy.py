@@ -24,7 +24,7 @@ from adcbf_cli.core.evaluation.formulas import (
     nees_bounds,
     rotate,
 )
-from adcbf_cli.core.evaluation.report import Metric
+from adcbf_cli.core.evaluation.report import Metric, block_metric
 from adcbf_cli.core.evaluation.scene import FrameObjects, Scene
 from adcbf_cli.core.types import BoolArray, FloatArray, IntArray
 
@@ -134,7 +134,7 @@ class Accuracy:
             sums.add(
                 self._blocks, {f"{prefix}x": square[:, 0], f"{prefix}y": square[:, 1], f"{prefix}xy": square.sum(1)}
             )
-        result = self._rmse(sums) | self._bias_metrics()
+        result = self._rmse(sums) | self._bias_metrics(sums)
         if consistency:
             nees = mahalanobis2(self.error_m, self._cov)
             sums.add(self._blocks, {"nees": nees, "sight_nees": mahalanobis2(errors["sight_corrected_"], self._cov)})
@@ -161,15 +161,8 @@ class Accuracy:
         result = {}
         for prefix, suffix in after.items():
             for key, (name, axis) in axes.items():
-                mean = sums.mean(prefix + key)
-                result[f"{self._prefix}.{name.format(prefix)}"] = Metric(
-                    None if mean is None else float(np.sqrt(mean)),
-                    "m",
-                    sums.count(prefix + key),
-                    SAMPLE,
-                    base + axis + suffix,
-                    interval=sums.interval(prefix + key, np.sqrt),
-                    blocks=sums.blocks(prefix + key, root=True),
+                result[f"{self._prefix}.{name.format(prefix)}"] = block_metric(
+                    sums, prefix + key, "m", SAMPLE, base + axis + suffix, "root_mean"
                 )
         return result
 
@@ -181,47 +174,26 @@ class Accuracy:
         }
         names = {"nees": f"{self._prefix}.nees", "sight_nees": f"{self._prefix}.nees_sight_corrected"}
         result = {
-            name: Metric(
-                sums.mean(key),
-                "1",
-                sums.count(key),
-                SAMPLE,
-                texts[key],
-                interval=sums.interval(key, lambda means: means),
-                blocks=sums.blocks(key),
-                bounds=nees_bounds(sums.count(key)),
-            )
+            name: block_metric(sums, key, "1", SAMPLE, texts[key], bounds=nees_bounds(sums.count(key)))
             for key, name in names.items()
         }
         for level in COVERAGE_LEVELS:
-            result[f"{self._prefix}.coverage_{level * 100:g}"] = Metric(
-                sums.mean(f"{level}"),
-                "1",
-                sums.count(f"{level}"),
-                SAMPLE,
-                f"share of true centres within the track's {level:.0%} ellipse; {level:g} for a consistent filter",
-                interval=sums.interval(f"{level}", lambda means: means),
-                blocks=sums.blocks(f"{level}"),
-            )
+            text = f"share of true centres within the track's {level:.0%} ellipse; {level:g} for a consistent filter"
+            result[f"{self._prefix}.coverage_{level * 100:g}"] = block_metric(sums, f"{level}", "1", SAMPLE, text)
         return result
 
-    def _bias_metrics(self) -> dict[str, Metric]:
-        oriented = self._body[np.isfinite(self._yaw)]
+    def _bias_metrics(self, sums: BlockSums) -> dict[str, Metric]:
         columns = {
             "along": (self._sight[:, 0], "along the line of sight; negative is towards the sensor"),
             "across": (self._sight[:, 1], "across the line of sight; positive is to its left"),
-            "body_x": (oriented[:, 0], "along the object's own x axis; objects of known yaw"),
-            "body_y": (oriented[:, 1], "along the object's own y axis; objects of known yaw"),
+            "body_x": (self._body[:, 0], "along the object's own x axis; objects of known yaw"),
+            "body_y": (self._body[:, 1], "along the object's own y axis; objects of known yaw"),
         }
+        sums.add(self._blocks, {f"bias_{name}": values for name, (values, _) in columns.items()})
+        base = f"mean of the {self._what}'s centre minus the object's"
         return {
-            f"{self._prefix}.bias_{name}_m": Metric(
-                float(values.mean()) if len(values) else None,
-                "m",
-                len(values),
-                SAMPLE,
-                f"mean of the {self._what}'s centre minus the object's {text}",
-            )
-            for name, (values, text) in columns.items()
+            f"{self._prefix}.bias_{name}_m": block_metric(sums, f"bias_{name}", "m", SAMPLE, f"{base} {text}")
+            for name, (_, text) in columns.items()
         }
 
     def object_errors(self) -> dict[int, dict[str, Any]]:

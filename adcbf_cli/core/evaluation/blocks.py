@@ -1,15 +1,16 @@
-"""Means with honest intervals: sums by block, and the bootstrap over blocks.
+"""Means and totals with honest intervals: sums by block, and the bootstrap over blocks.
 
 Samples of one object at neighbouring times are alike, so an interval that took them for
-independent would be far too narrow. A block is one object in one stretch of time; the bootstrap
-draws whole blocks.
+independent would be far too narrow. A block is one object in one stretch of time, or all that is
+in one stretch; the bootstrap draws whole blocks.
 """
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -28,25 +29,41 @@ _CHUNK = 100
 _TIME = 0xFFFFFFFF
 """The part of a block's key that says which stretch of time it is."""
 
+Form = Literal["mean", "root_mean", "total"]
+"""What a metric is of its blocks' sums: their sum over that of the counts, its square root, or their sum alone."""
+
+
+def in_form(form: Form, sums: FloatArray, counts: FloatArray) -> FloatArray:
+    """The metric's value from sums and counts over the same blocks; counts above 0."""
+    if form == "total":
+        return sums
+    means: FloatArray = sums / counts
+    return np.sqrt(means) if form == "root_mean" else means
+
 
 def block_keys(ids: IntArray, stamp_ns: IntArray, block_ns: int) -> IntArray:
     """(k,) int64 keys, one for each id (below 2**31) and time block. Times of one log only."""
     return (ids << 32) | ((stamp_ns // block_ns) & _TIME)
 
 
+def stretch_key(stamp_ns: int, block_ns: int) -> int:
+    """The key of all that is in one time block."""
+    return (stamp_ns // block_ns) & _TIME
+
+
 @dataclass(frozen=True, slots=True)
 class Blocks:
-    """What a mean is made of, so that two runs on one log can be paired block by block.
+    """What a metric is made of, so that two runs on one log can be paired block by block.
 
     keys: (k,) int64, ascending, the same in every run for the same block. sums, counts: (k,). dealt: the keys are
-    hands that blocks were dealt into. root: the metric is the mean's square root.
+    hands that blocks were dealt into. form: what the metric is of them.
     """
 
     keys: IntArray
     sums: FloatArray
     counts: FloatArray
     dealt: bool
-    root: bool
+    form: Form
 
 
 class BlockSums:
@@ -72,23 +89,31 @@ class BlockSums:
             known = np.isfinite(table)
             total = np.bincount(place, np.where(known, table, 0.0).sum(axis=1), len(keys))
             count = np.bincount(place, known.sum(axis=1), len(keys))
-            mine = self._sums.setdefault(name, {})
-            found = list(zip(keys.tolist(), total.tolist(), count.tolist(), strict=True))
-            if name in self._dealt:
-                self._deal(name, found)
-            else:
-                _add_cells(mine, found)
-            if len(mine) > MAX_KEPT:
-                self._sums[name] = {}
-                self._dealt.add(name)
-                self._deal(name, [(key, s, c) for key, (s, c) in mine.items()])
+            self._gather(name, list(zip(keys.tolist(), total.tolist(), count.tolist(), strict=True)))
+
+    def add_sums(self, block: int, sums: Mapping[str, tuple[float, float]]) -> None:
+        """Adds to one block what is summed already: (sum, count) of each quantity. A sum may come without a count:
+        something false where there was nothing to find."""
+        for name, (total, count) in sums.items():
+            self._gather(name, [(block, total, count)])
+
+    def _gather(self, name: str, found: list[tuple[int, float, float]]) -> None:
+        mine = self._sums.setdefault(name, {})
+        if name in self._dealt:
+            self._deal(name, found)
+        else:
+            _add_cells(mine, found)
+        if len(mine) > MAX_KEPT:
+            self._sums[name] = {}
+            self._dealt.add(name)
+            self._deal(name, [(key, s, c) for key, (s, c) in mine.items()])
 
     def _deal(self, name: str, found: list[tuple[int, float, float]]) -> None:
         _add_cells(self._sums[name], ((_hand(key), s, c) for key, s, c in found))
         if self._own_ids:
             _add_cells(self._times.setdefault(name, {}), ((_hand(key & _TIME), s, c) for key, s, c in found))
 
-    def blocks(self, name: str, root: bool = False) -> Blocks | None:
+    def blocks(self, name: str, form: Form = "mean") -> Blocks | None:
         """The sums in a form that another run on the same log has too; None without any sample."""
         dealt = name in self._dealt
         cells = self._times.get(name, {}) if dealt and self._own_ids else self._sums.get(name, {})
@@ -100,25 +125,26 @@ class BlockSums:
             return None
         keys = sorted(cells)
         table = np.array([cells[key] for key in keys])
-        return Blocks(np.array(keys, dtype=np.int64), table[:, 0], table[:, 1], dealt, root)
+        return Blocks(np.array(keys, dtype=np.int64), table[:, 0], table[:, 1], dealt, form)
 
     def count(self, name: str) -> int:
         return int(sum(c for _, c in self._sums.get(name, {}).values()))
 
-    def mean(self, name: str) -> float | None:
-        """The mean over all samples, or None without any."""
+    def value(self, name: str, form: Form = "mean") -> float | None:
+        """The metric over all samples, or None without any."""
         cells = self._sums.get(name, {})
-        n = sum(c for _, c in cells.values())
-        return sum(s for s, _ in cells.values()) / n if n else None
+        total, n = (float(sum(column)) for column in zip(*cells.values(), strict=True)) if cells else (0.0, 0.0)
+        return float(in_form(form, np.array(total), np.array(n))) if n else None
 
-    def interval(self, name: str, transform: Callable[[FloatArray], FloatArray]) -> tuple[float, float] | None:
-        """95 % percentile interval of `transform`(mean) over block resamples (seeded by the name)."""
+    def interval(self, name: str, form: Form = "mean") -> tuple[float, float] | None:
+        """95 % percentile interval of the metric over block resamples (seeded by the name)."""
         cells = self._sums.get(name, {})
         if len(cells) < MIN_BLOCKS:
             return None
         table = np.array([cells[key] for key in sorted(cells)])
         drawn = _resampled_sums(table, name)
-        low, high = np.quantile(transform(drawn[:, 0] / drawn[:, 1]), [0.025, 0.975])
+        drawn = drawn[drawn[:, 1] > 0]
+        low, high = np.quantile(in_form(form, drawn[:, 0], drawn[:, 1]), [0.025, 0.975])
         return float(low), float(high)
 
 
@@ -137,10 +163,8 @@ def paired_interval(base: Blocks, other: Blocks, name: str) -> tuple[tuple[float
         table[rows, column], table[rows, column + 1] = blocks.sums, blocks.counts
     drawn = _resampled_sums(table, name)
     drawn = drawn[(drawn[:, 1] > 0) & (drawn[:, 3] > 0)]
-    means = drawn[:, [0, 2]] / drawn[:, [1, 3]]
-    if base.root:
-        means = np.sqrt(means)
-    low, high = np.quantile(means[:, 1] - means[:, 0], [0.025, 0.975])
+    values = in_form(base.form, drawn[:, [0, 2]], drawn[:, [1, 3]])
+    low, high = np.quantile(values[:, 1] - values[:, 0], [0.025, 0.975])
     return (float(low), float(high)), len(keys)
 
 
@@ -151,13 +175,13 @@ def _in_hands(blocks: Blocks) -> Blocks:
     rows = zip(blocks.keys.tolist(), blocks.sums.tolist(), blocks.counts.tolist(), strict=True)
     _add_cells(cells, ((_hand(key), s, c) for key, s, c in rows))
     table = np.array([cells[hand] for hand in sorted(cells)])
-    return Blocks(np.array(sorted(cells), dtype=np.int64), table[:, 0], table[:, 1], True, blocks.root)
+    return Blocks(np.array(sorted(cells), dtype=np.int64), table[:, 0], table[:, 1], True, blocks.form)
 
 
 def _add_cells(cells: dict[int, list[float]], more: Iterable[tuple[int, float, float]]) -> None:
     """Adds (key, sum, count) triples to their cells."""
     for key, s, c in more:
-        if c:
+        if c or s:
             cell = cells.setdefault(key, [0.0, 0.0])
             cell[0] += s
             cell[1] += c

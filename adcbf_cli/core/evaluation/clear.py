@@ -20,13 +20,16 @@ from adcbf_cli.core.types import BoolArray, FloatArray, IntArray
 class FrameMatch:
     """One frame's outcome. rows, columns: the matched pairs of scored objects (indices into the
     frame's objects and tracks). missed: scored objects without a track. false: tracks that are
-    wrong. duplicate: those of `false` whose centre is admissible for some scored object."""
+    wrong. duplicate: those of `false` whose centre is admissible for some scored object. switches, fragmentations:
+    how many of the matches are to another track than the object's last, and come after it was missed."""
 
     rows: IntArray
     columns: IntArray
     missed: IntArray
     false: IntArray
     duplicate: IntArray
+    switches: int
+    fragmentations: int
 
 
 @dataclass(slots=True)
@@ -70,25 +73,30 @@ class ClearMot:
         missed = np.setdiff1d(np.flatnonzero(scored), rows)
         false = np.flatnonzero(unmatched & ~ignorable)
         duplicate = false[admissible[scored][:, false].any(axis=0)]
-        self._count(object_id, track_id, rows, columns, missed)
+        switches, fragmentations = self._follow(object_id, track_id, rows, columns, missed)
+        self.matches += len(rows)
+        self.misses += len(missed)
+        self.switches += switches
+        self.fragmentations += fragmentations
         self.objects += int(scored.sum())
         self.false_positives += len(false)
         self.duplicates += len(duplicate)
         self.distance_sum_m += float(distance_m[rows, columns].sum())
-        return FrameMatch(rows, columns, missed, false, duplicate)
+        return FrameMatch(rows, columns, missed, false, duplicate, switches, fragmentations)
 
-    def _count(
+    def _follow(
         self, object_id: IntArray, track_id: IntArray, rows: IntArray, columns: IntArray, missed: IntArray
-    ) -> None:
-        self.matches += len(rows)
-        self.misses += len(missed)
+    ) -> tuple[int, int]:
+        """Remembers who was matched to what; how many matches are switches, and how many end a gap."""
+        switches = fragmentations = 0
         for i, j in zip(rows, columns, strict=True):
             key, track = int(object_id[i]), int(track_id[j])
-            self.switches += self._last_track.get(key, track) != track
-            self.fragmentations += key in self._lost
+            switches += self._last_track.get(key, track) != track
+            fragmentations += key in self._lost
             self._last_track[key] = track
             self._lost.discard(key)
         self._lost.update(int(object_id[i]) for i in missed if int(object_id[i]) in self._last_track)
+        return switches, fragmentations
 
     @property
     def mota(self) -> float | None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from adcbf_cli.core.config import EvaluationConfig
 from adcbf_cli.core.evaluation.blocks import BlockSums, block_keys
-from adcbf_cli.core.evaluation.report import Metric
+from adcbf_cli.core.evaluation.report import Metric, block_metric
 from adcbf_cli.core.evaluation.scene import FrameObjects, Scene
 from adcbf_cli.core.types import FloatArray, IntArray
 
@@ -85,12 +85,4 @@ class DetectionScore:
 
     def _share(self, name: str, sample: str, definition: str) -> Metric:
         sums = self._of_tracks if name == "moving_precision" else self._sums
-        return Metric(
-            sums.mean(name),
-            "1",
-            sums.count(name),
-            sample,
-            definition,
-            interval=sums.interval(name, lambda means: means),
-            blocks=sums.blocks(name),
-        )
+        return block_metric(sums, name, "1", sample, definition)

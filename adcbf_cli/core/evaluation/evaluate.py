@@ -134,7 +134,7 @@ class _Evaluation:
     def __init__(self, scene: Scene | None, config: EvaluationConfig) -> None:
         self._scene = scene
         self._config = config
-        self._lives = TrackLives()
+        self._lives = TrackLives(config)
         self._later = LaterSeen(config)
         self.labelled_in_range = 0
         if scene is not None:

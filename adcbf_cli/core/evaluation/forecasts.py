@@ -19,7 +19,7 @@ from adcbf_cli.core.evaluation.formulas import (
     mahalanobis2,
     nees_bounds,
 )
-from adcbf_cli.core.evaluation.report import Metric
+from adcbf_cli.core.evaluation.report import Metric, block_metric
 from adcbf_cli.core.types import FloatArray, IntArray, Predictions
 
 STEP_SAMPLE = "prediction and step"
@@ -129,33 +129,20 @@ class ForecastScore:
         for axis in "xy":
             text = f"root mean square of predicted minus {what} position along world {axis}, {when}"
             result[f"{prefix}.rmse_{axis}_m{tag}"] = self._root(f"{axis}{tag}", SAMPLE, text)
-        n = self._sums.count(f"nees{tag}")
-        result[f"{prefix}.nees{tag}"] = Metric(
-            self._sums.mean(f"nees{tag}"),
-            "1",
-            n,
-            SAMPLE,
-            f"mean of e' P^-1 e over x and y {when}; 2 if the covariance is right. Bounds hold for independent samples",
-            interval=self._sums.interval(f"nees{tag}", lambda means: means),
-            blocks=self._sums.blocks(f"nees{tag}"),
-            bounds=nees_bounds(n),
+        text = (
+            f"mean of e' P^-1 e over x and y {when}; 2 if the covariance is right. Bounds hold for independent samples"
         )
+        bounds = nees_bounds(self._sums.count(f"nees{tag}"))
+        result[f"{prefix}.nees{tag}"] = block_metric(self._sums, f"nees{tag}", "1", SAMPLE, text, bounds=bounds)
         for name, text in _coverage_texts(what).items():
             result[f"{prefix}.{name}{tag}"] = self._plain(f"{name}{tag}", "1", SAMPLE, f"{text}, {when}")
         return result
 
     def _plain(self, key: str, unit: str, sample: str, definition: str) -> Metric:
-        sums = self._sums
-        interval = sums.interval(key, lambda means: means)
-        return Metric(
-            sums.mean(key), unit, sums.count(key), sample, definition, interval=interval, blocks=sums.blocks(key)
-        )
+        return block_metric(self._sums, key, unit, sample, definition)
 
     def _root(self, key: str, sample: str, definition: str) -> Metric:
-        mean = self._sums.mean(key)
-        value = None if mean is None else float(np.sqrt(mean))
-        interval, blocks = self._sums.interval(key, np.sqrt), self._sums.blocks(key, root=True)
-        return Metric(value, "m", self._sums.count(key), sample, definition, interval=interval, blocks=blocks)
+        return block_metric(self._sums, key, "m", sample, definition, "root_mean")
 
 
 def _coverage_texts(what: str) -> dict[str, str]:

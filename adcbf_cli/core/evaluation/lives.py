@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from adcbf_cli.core.config import EvaluationConfig
+from adcbf_cli.core.evaluation.blocks import BlockSums, block_keys, stretch_key
 from adcbf_cli.core.evaluation.quantiles import QuantileSums
-from adcbf_cli.core.evaluation.report import Metric
+from adcbf_cli.core.evaluation.report import Metric, block_metric
 from adcbf_cli.core.types import NO_ID, BoolArray, FloatArray, Tracks, TrackStatus
 
 RESTART_S = 2.0
@@ -42,32 +44,37 @@ class TrackLives:
     """Counts and ends of tracks; feed it every frame. What it keeps is one short row for each track that
     was ever reported, and bounded sums over frames."""
 
-    def __init__(self) -> None:
+    def __init__(self, config: EvaluationConfig) -> None:
+        self._block_ns = round(config.bootstrap_block_s * 1e9)
+        self._sums = BlockSums()
         self._alive = np.zeros(0, dtype=_Life)
         self._gone: list[NDArray[np.void]] = []
         self._speed_mps = QuantileSums()
-        self._created = self._samples = self._seen = self._static = 0
-        self.frames = 0
-        self.clusters = 0
 
     def add(self, tracks: Tracks, clusters: int) -> None:
         """One frame's tracks, and how many clusters it had. Frames come in the order of time."""
         shown = reported(tracks)
-        self.frames += 1
-        self.clusters += clusters
-        self._samples += int(shown.sum())
-        self._seen += int((tracks.cluster_id[shown] != NO_ID).sum())
-        self._static += int(tracks.is_static[shown].sum())
         velocity = tracks.state[shown & ~tracks.is_static, 3:5]
         self._speed_mps.add(np.hypot(velocity[:, 0], velocity[:, 1]))
-        self._follow(tracks, shown)
+        created, confirmed = self._follow(tracks, shown)
+        n = int(shown.sum())
+        self._sums.add_sums(
+            stretch_key(tracks.stamp_ns, self._block_ns),
+            {
+                "clusters": (clusters, 1),
+                "tracks": (n, 1),
+                "created": (created, 1),
+                "confirmed": (confirmed, 1),
+                "coasting": (int((tracks.cluster_id[shown] == NO_ID).sum()), n),
+                "static": (int(tracks.is_static[shown].sum()), n),
+            },
+        )
 
-    def _follow(self, tracks: Tracks, shown: BoolArray) -> None:
-        """Brings the rows of the living up to this frame."""
+    def _follow(self, tracks: Tracks, shown: BoolArray) -> tuple[int, int]:
+        """Brings the rows of the living up to this frame; how many are new, how many reported for the first time."""
         new = np.setdiff1d(tracks.track_id, self._alive["id"])
         rows = np.zeros(len(new), dtype=_Life)
         rows["id"], rows["first_ns"] = new, NEVER
-        self._created += len(new)
         alive = np.concatenate([self._alive, rows])
         alive = alive[np.argsort(alive["id"])]
         alive["alive_ns"][np.searchsorted(alive["id"], tracks.track_id)] = tracks.stamp_ns
@@ -80,6 +87,7 @@ class TrackLives:
         self._gone.append(alive[gone & (alive["first_ns"] != NEVER)])
         if len(self._gone) >= _PIECES:
             self._gone = [np.concatenate(self._gone)]
+        return len(new), int(first.sum())
 
     def _lives(self) -> NDArray[np.void]:
         """The rows of all tracks that were ever reported, by id."""
@@ -87,73 +95,59 @@ class TrackLives:
         return lives[np.argsort(lives["id"], kind="stable")]
 
     def metrics(self) -> dict[str, Metric]:
-        lives = self._lives()
+        lives, sums = self._lives(), BlockSums()
         life_s = (lives["last_ns"] - lives["first_ns"]) / 1e9
-        frames, samples, tracks, moving = self.frames, self._samples, len(lives), self._speed_mps.count
-
-        def row(value: float | None, unit: str, n: int, sample: str, definition: str) -> Metric:
-            return Metric(value if n else None, unit, n, sample, definition)
-
+        tracks, moving = len(lives), self._speed_mps.count
+        begun = block_keys(np.zeros(tracks, dtype=np.int64), lives["first_ns"], self._block_ns)
+        sums.add(
+            begun, {"short": (life_s < SHORT_S).astype(np.float64), "restarts": _restarts(lives).astype(np.float64)}
+        )
+        short = f"share of confirmed tracks reported for less than {SHORT_S:g} s"
+        restarts = (
+            f"share of confirmed tracks that begin within {RESTART_S:g} s and {RESTART_M:g} m of where another ended: "
+            "likely fragments of one object"
+        )
+        reports = "mean number of reported tracks (confirmed or coasting)"
+        of_frames, of_samples = ("1", "frame"), ("1", "track and frame")
         return {
-            "clusters.per_frame": row(_ratio(self.clusters, frames), "1", frames, "frame", "mean number of clusters"),
-            "tracks.created": row(float(self._created), "1", frames, "frame", "track ids ever given out"),
-            "tracks.confirmed": row(float(tracks), "1", frames, "frame", "tracks that were ever confirmed"),
-            "tracks.per_frame": row(
-                _ratio(samples, frames), "1", frames, "frame", "mean number of reported tracks (confirmed or coasting)"
+            "clusters.per_frame": block_metric(self._sums, "clusters", *of_frames, "mean number of clusters"),
+            "tracks.created": block_metric(self._sums, "created", *of_frames, "track ids ever given out", "total"),
+            "tracks.confirmed": block_metric(
+                self._sums, "confirmed", *of_frames, "tracks that were ever confirmed", "total"
             ),
-            "tracks.life_s.median": row(
+            "tracks.per_frame": block_metric(self._sums, "tracks", *of_frames, reports),
+            "tracks.life_s.median": Metric(
                 _quantile(life_s, 0.5), "s", tracks, "track", "median time from first to last report of a track"
             ),
-            "tracks.life_s.p90": row(_quantile(life_s, 0.9), "s", tracks, "track", "90 % quantile of the same"),
-            "tracks.short_share": row(
-                _ratio(int((life_s < SHORT_S).sum()), tracks),
-                "1",
-                tracks,
-                "track",
-                f"share of confirmed tracks reported for less than {SHORT_S:g} s",
-            ),
-            "tracks.restart_share": row(
-                _ratio(_restarts(lives), tracks),
-                "1",
-                tracks,
-                "track",
-                f"share of confirmed tracks that begin within {RESTART_S:g} s and {RESTART_M:g} m of where another "
-                "ended: likely fragments of one object",
-            ),
-            "tracks.coasting_share": row(
-                _ratio(samples - self._seen, samples), "1", samples, "track and frame", "share without a cluster"
-            ),
-            "tracks.static_share": row(
-                _ratio(self._static, samples), "1", samples, "track and frame", "share taken as static"
-            ),
-            "tracks.speed_mps.median": row(
+            "tracks.life_s.p90": Metric(_quantile(life_s, 0.9), "s", tracks, "track", "90 % quantile of the same"),
+            "tracks.short_share": block_metric(sums, "short", "1", "track", short),
+            "tracks.restart_share": block_metric(sums, "restarts", "1", "track", restarts),
+            "tracks.coasting_share": block_metric(self._sums, "coasting", *of_samples, "share without a cluster"),
+            "tracks.static_share": block_metric(self._sums, "static", *of_samples, "share taken as static"),
+            "tracks.speed_mps.median": Metric(
                 self._speed_mps.quantile(0.5),
                 "m/s",
                 moving,
                 "moving track and frame",
                 "median speed of non-static tracks",
             ),
-            "tracks.speed_mps.p90": row(
+            "tracks.speed_mps.p90": Metric(
                 self._speed_mps.quantile(0.9), "m/s", moving, "moving track and frame", "90 % quantile of the same"
             ),
         }
 
 
-def _restarts(lives: NDArray[np.void]) -> int:
-    """How many tracks begin soon after and near where another ended."""
+def _restarts(lives: NDArray[np.void]) -> BoolArray:
+    """(n,) which tracks begin soon after and near where another ended."""
     by_end = np.argsort(lives["last_ns"], kind="stable")
     ended_ns, ended_m = lives["last_ns"][by_end], lives["end_m"][by_end]
     low = np.searchsorted(ended_ns, lives["first_ns"] - round(RESTART_S * 1e9))
     high = np.searchsorted(ended_ns, lives["first_ns"])
-    found = 0
+    found = np.zeros(len(lives), dtype=bool)
     for i, (a, b) in enumerate(zip(low.tolist(), high.tolist(), strict=True)):
         offset = ended_m[a:b] - lives["start_m"][i]
-        found += bool((np.hypot(offset[:, 0], offset[:, 1]) <= RESTART_M).any())
+        found[i] = (np.hypot(offset[:, 0], offset[:, 1]) <= RESTART_M).any()
     return found
-
-
-def _ratio(part: int, whole: int) -> float | None:
-    return part / whole if whole else None
 
 
 def _quantile(values: FloatArray, q: float) -> float | None:

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from adcbf_cli.core.evaluation.blocks import Blocks
+from adcbf_cli.core.evaluation.blocks import Blocks, BlockSums, Form
 
 SCHEMA_VERSION = 1
 
@@ -17,8 +17,8 @@ class Metric:
     """One number. value: None where there is no evidence. n: samples behind it, named by `sample`.
 
     interval: 95 % bootstrap interval, where one was drawn. bounds: where a consistent filter's
-    value lies with 95 % probability, for metrics that have such bounds. blocks: what the value is the mean of,
-    where it is one.
+    value lies with 95 % probability, for metrics that have such bounds. blocks: what the value is made of,
+    where it can be cut into stretches of the log.
     """
 
     value: float | None
@@ -43,6 +43,28 @@ class Metric:
         if self.bounds is not None:
             document["bounds_95"] = [_finite(x) for x in self.bounds]
         return document
+
+
+def block_metric(
+    sums: BlockSums,
+    name: str,
+    unit: str,
+    sample: str,
+    definition: str,
+    form: Form = "mean",
+    bounds: tuple[float, float] | None = None,
+) -> Metric:
+    """What `sums` holds under this name as a metric, with its interval and its blocks."""
+    return Metric(
+        sums.value(name, form),
+        unit,
+        sums.count(name),
+        sample,
+        definition,
+        interval=sums.interval(name, form),
+        bounds=bounds,
+        blocks=sums.blocks(name, form),
+    )
 
 
 def _finite(value: float | None) -> float | None:

@@ -25,10 +25,10 @@ def as_rows(found: Blocks | None) -> list[tuple[int, float, float]]:
 
 
 def test_a_block_is_an_object_and_a_stretch_of_time() -> None:
-    found = filled(False, [1, 1, 1, 2], [0, 4, 5, 0], [1.0, 2.0, 4.0, 8.0]).blocks("error", root=True)
+    found = filled(False, [1, 1, 1, 2], [0, 4, 5, 0], [1.0, 2.0, 4.0, 8.0]).blocks("error", "root_mean")
     assert as_rows(found) == [(1 << 32, 3.0, 2.0), ((1 << 32) + 1, 4.0, 1.0), (2 << 32, 8.0, 1.0)]
     assert found is not None
-    assert (found.root, found.dealt) == (True, False)
+    assert (found.form, found.dealt) == ("root_mean", False)
 
 
 def test_blocks_of_ids_that_no_other_run_has_are_stretches_of_time() -> None:
@@ -58,7 +58,7 @@ def test_dealt_blocks_keep_the_mean_and_hands_depend_on_the_block_alone(
     assert found.counts.tolist() == again.counts.tolist()
     assert found.sums == pytest.approx(again.sums)
     assert found.sums.sum() / found.counts.sum() == pytest.approx(np.mean(values))
-    assert one.mean("error") == pytest.approx(np.mean(values))
+    assert one.value("error") == pytest.approx(np.mean(values))
 
 
 def test_nothing_has_no_blocks() -> None:
@@ -66,4 +66,39 @@ def test_nothing_has_no_blocks() -> None:
     sums = BlockSums(own_ids=True)
     sums.add(block_keys(np.array([1]), np.array([0]), SECOND), {"error": np.array([np.nan])})
     assert sums.blocks("error") is None
-    assert sums.mean("error") is None
+    assert sums.value("error") is None
+
+
+def test_a_sum_without_a_count_is_kept() -> None:
+    """Two false tracks where nothing is labelled are errors all the same."""
+    sums = BlockSums()
+    sums.add_sums(3, {"mota": (4.0, 5), "nothing": (0.0, 0)})
+    sums.add_sums(4, {"mota": (-2.0, 0), "nothing": (0.0, 0)})
+    assert as_rows(sums.blocks("mota")) == [(3, 4.0, 5.0), (4, -2.0, 0.0)]
+    assert sums.value("mota") == pytest.approx(2 / 5)
+    assert sums.blocks("nothing") is None
+
+
+def test_a_total_counts_blocks_in_which_nothing_was() -> None:
+    sums = BlockSums()
+    for block in range(3):
+        sums.add_sums(block, {"switches": (float(block == 1), 10)})
+    assert as_rows(sums.blocks("switches", "total")) == [(0, 0.0, 10.0), (1, 1.0, 10.0), (2, 0.0, 10.0)]
+    assert sums.value("switches", "total") == 1.0
+
+
+def test_sums_that_are_dealt_still_add_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(blocks, "MAX_KEPT", 20)
+    monkeypatch.setattr(blocks, "MAX_BLOCKS", 10)
+    rng = np.random.default_rng(7)
+    errors, objects = rng.integers(-3, 4, 500), rng.integers(0, 3, 500)
+    sums = BlockSums()
+    for block, (error, count) in enumerate(zip(errors.tolist(), objects.tolist(), strict=True)):
+        sums.add_sums(block // 3, {"mota": (error, count)})
+    found = sums.blocks("mota")
+    assert found is not None
+    assert found.dealt
+    assert len(found.keys) == 10
+    assert (found.sums.sum(), found.counts.sum()) == (errors.sum(), objects.sum())
+    assert sums.value("mota") == pytest.approx(errors.sum() / objects.sum())
+    assert sums.value("mota", "total") == errors.sum()

@@ -77,7 +77,7 @@ def test_paths_answer_next_to_a_gap_as_they_do_at_their_ends() -> None:
 def test_lives_keep_one_row_a_track() -> None:
     seen = [Seen(line(float(i), 0), frames=range(25 * i, 25 * i + 20)) for i in range(16)]
     run = Run([], seen, 400)
-    lives = TrackLives()
+    lives = TrackLives(EvaluationConfig())
     for k in range(run.count):
         lives.add(run.tracks(k), 0)
         assert len(lives._alive) <= 6, "ten seconds after it ended a track is let go"

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from adcbf_cli.core.errors import UsageError
-from adcbf_cli.core.evaluation.blocks import Blocks, paired_interval
+from adcbf_cli.core.evaluation.blocks import Blocks, Form, paired_interval
 from adcbf_cli.core.evaluation.change_limits import exceeded, parse_change_limit
 from adcbf_cli.core.evaluation.report import Metric
 from adcbf_cli.core.evaluation.run_comparison import Change, RunComparison, better_direction, compare_runs
@@ -41,11 +41,11 @@ def scored(name: str, metrics: Mapping[str, Metric], **rest: Any) -> ScoredRun:
     return ScoredRun(name=name, metrics=metrics, **(known | rest))
 
 
-def blocks(means: np.ndarray[Any, Any], keys: list[int] | None = None, root: bool = False) -> Blocks:
+def blocks(means: np.ndarray[Any, Any], keys: list[int] | None = None, form: Form = "mean") -> Blocks:
     """Blocks of ten samples each with these means."""
     count = np.full(len(means), 10.0)
     where = np.arange(len(means)) if keys is None else np.array(keys)
-    return Blocks(where.astype(np.int64), means * count, count, False, root)
+    return Blocks(where.astype(np.int64), means * count, count, False, form)
 
 
 def change(**values: Any) -> Change:
@@ -76,9 +76,23 @@ def test_an_interval_holds_the_true_difference_as_often_as_it_says() -> None:
 
 
 def test_a_root_mean_square_is_compared_as_one() -> None:
-    found = paired_interval(blocks(np.full(8, 4.0), root=True), blocks(np.full(8, 9.0), root=True), "a")
+    found = paired_interval(blocks(np.full(8, 4.0), form="root_mean"), blocks(np.full(8, 9.0), form="root_mean"), "a")
     assert found is not None
     assert found[0] == pytest.approx((1.0, 1.0))
+
+
+def test_a_count_is_compared_as_one() -> None:
+    """A stretch in which nothing was counted says as much as the others: totals are of all that was looked at."""
+    rng = np.random.default_rng(11)
+    hits = 0
+    for trial in range(100):
+        counts = [rng.poisson(rate, 60).astype(np.float64) for rate in (0.2, 0.5)]
+        base, other = (blocks(c / 10.0, form="total") for c in counts)
+        found = paired_interval(base, other, f"trial {trial}")
+        assert found is not None
+        assert found[1] == 60
+        hits += found[0][0] <= 60 * 0.3 <= found[0][1]
+    assert 0.88 <= hits / 100 <= 0.99
 
 
 def test_blocks_that_only_one_run_has_count_for_that_run() -> None:
@@ -95,7 +109,7 @@ def test_blocks_that_only_one_run_has_count_for_that_run() -> None:
 def test_a_run_whose_blocks_were_dealt_is_paired_with_one_whose_were_not() -> None:
     rng = np.random.default_rng(3)
     plain = blocks(rng.random(500))
-    zeroed = Blocks(plain.keys, plain.sums + plain.counts, plain.counts, False, False)
+    zeroed = Blocks(plain.keys, plain.sums + plain.counts, plain.counts, False, "mean")
     from adcbf_cli.core.evaluation.blocks import _in_hands
 
     dealt = _in_hands(zeroed)
