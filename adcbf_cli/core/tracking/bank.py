@@ -30,7 +30,8 @@ class TrackBank:
     states (n, m, d), covariances (n, m, d, d), modes (n, m) probabilities; noise_scale (n, 3)
     factors on the nominal measurement variance; spread_m (n, 3) the along-the-wall noise of a piece
     of a wall, world frame; seen_s and born_s: times of the last and first hit;
-    whole_s: when more than a small part of it was last seen; seen_at_m (n, 2) where
+    whole_s: when more than a small part of it was last seen; hidden_s: how long, since its last hit, something
+    nearer hid it; seen_at_m (n, 2) where
     the body's centre was measured at the last hit, world frame.
     """
 
@@ -49,6 +50,7 @@ class TrackBank:
     born_s: FloatArray
     seen_s: FloatArray
     whole_s: FloatArray
+    hidden_s: FloatArray
     hits: IntArray
     misses: IntArray
     frames: IntArray
@@ -81,6 +83,7 @@ class TrackBank:
             born_s=zeros(),
             seen_s=zeros(),
             whole_s=zeros(),
+            hidden_s=zeros(),
             hits=integers(),
             misses=integers(),
             frames=integers(),

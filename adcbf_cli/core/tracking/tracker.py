@@ -1,7 +1,8 @@
 """From the clusters of each frame to tracks: predict, associate, update, begin, confirm, end.
 
 A track begins with a cluster that no track claims (tentative), is confirmed by enough hits, coasts
-on its motion model while unseen, and ends when unseen for too long. The ego's motion enters in the
+on its motion model while unseen, and ends when unseen for too long. Time for which something nearer hides it
+counts apart: who walks behind a car has not gone. The ego's motion enters in the
 measurement: states live in the world, and are seen from the sensor's pose of each frame.
 """
 
@@ -18,6 +19,7 @@ from adcbf_cli.core.tracking.association import assign
 from adcbf_cli.core.tracking.bank import TrackBank, adapted_noise
 from adcbf_cli.core.tracking.bodies import Bodies, aged_variance
 from adcbf_cli.core.tracking.filters import BatchFilter
+from adcbf_cli.core.tracking.hiding import is_hidden
 from adcbf_cli.core.tracking.linalg import inverted, quadratic_form, symmetrised
 from adcbf_cli.core.tracking.measurement import noise_along_axes, nominal_variance
 from adcbf_cli.core.tracking.modes import ModeChain, combine, mix, reweighed
@@ -27,6 +29,9 @@ from adcbf_cli.core.tracking.stillness import Sightings, known_to_move, still
 from adcbf_cli.core.tracking.structures import wall_pieces
 from adcbf_cli.core.tracking.views import learn_sizes, size_doubt, view_bodies
 from adcbf_cli.core.types import NO_ID, BoolArray, Clusters, FloatArray, IntArray, Notes, Tracks, TrackStatus
+
+HIDDEN_FACTOR = 2.0
+"""Times what an unseen track goes on for, that it goes on further while something nearer hides it."""
 
 
 class Tracker:
@@ -72,6 +77,10 @@ class Tracker:
             self._predict(bank, kalman, dt)
             taken = self._update(bank, kalman, clusters)
             held = hold_faint(bank, clusters, self._now_s, *stood)
+            unseen = bank.cluster_id == NO_ID
+            state, _ = combine(bank.states, bank.covariances, bank.modes)
+            hidden = unseen & is_hidden(state[:, :3], clusters)
+            bank.hidden_s = np.where(unseen, bank.hidden_s + dt * hidden, 0.0)
             self._end_and_confirm(bank)
             if not taken.all():
                 bank.append(self._born(kalman, clusters, ~taken))
@@ -268,7 +277,8 @@ class Tracker:
         hopeless = tentative & (bank.frames - bank.hits > config.confirm_window - config.confirm_hits)
         # What was followed for a moment only is more likely clutter than an obstacle that hides.
         longest_coast_s = np.minimum(config.max_coast_s, bank.seen_s - bank.born_s)
-        lost = ~seen & ~tentative & (self._now_s - bank.seen_s > longest_coast_s + 1e-9)
+        excused_s = np.minimum(bank.hidden_s, HIDDEN_FACTOR * longest_coast_s)
+        lost = ~seen & ~tentative & (self._now_s - bank.seen_s - excused_s > longest_coast_s + 1e-9)
         bank.status[~tentative & ~seen] = TrackStatus.COASTING
         bank.status[(~tentative & seen) | (bank.hits >= config.confirm_hits)] = TrackStatus.CONFIRMED
         bank.status[~tentative & ~seen] = TrackStatus.COASTING
@@ -308,6 +318,7 @@ class Tracker:
         born.born_s = np.full(n, self._now_s)
         born.seen_s = np.full(n, self._now_s)
         born.whole_s = np.full(n, self._now_s)
+        born.hidden_s = np.zeros(n)
         born.hits = np.ones(n, dtype=np.int64)
         born.misses = np.zeros(n, dtype=np.int64)
         born.frames = np.ones(n, dtype=np.int64)
