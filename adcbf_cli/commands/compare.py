@@ -38,7 +38,7 @@ def compare(
     """Show runs side by side, with differences to the first.
 
     All metrics of the reports that `evaluate`, `run`, `plan` and `replay` left in the run folders. Where two runs are
-    of one log, differences have 95 % intervals: means, counts and scores paired by blocks of the log, drives by seed.
+    of one log, differences have 95 % intervals: means, counts and most scores paired by blocks, drives by seed.
 
     --fail-on takes a change against the first run, with its sign: `prediction.rmse_x_m>+5%` fails if it rises by more
     than 5 %, `clear.mota<-0.01` if it falls by more than 0.01.

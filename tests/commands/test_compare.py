@@ -85,13 +85,14 @@ def test_counts_scores_and_biases_have_intervals_too(folder: Path, tmp_path: Pat
         done = adcbf("evaluate", tmp_path / name, "--truth", SAMPLE / "truth.csv", *setting)
         assert done.returncode == 0, done.stderr
     (run,) = json.loads(adcbf("compare", "main", "branch", "--json", cwd=tmp_path).stdout)["runs"]
-    for name in ("clear.mota", "clear.misses", "hota.hota", "hota.loc_a", "tracking.bias_along_m", "tracks.per_frame"):
+    for name in ("clear.mota", "clear.misses", "hota.det_a", "hota.loc_a", "tracking.bias_along_m", "tracks.per_frame"):
         entry = run["metrics"][name]
         assert (entry["paired_by"], entry["no_interval"]) == ("blocks of 1 s", None), name
         assert entry["pairs"] >= 6, name
         assert entry["interval_95"][0] <= entry["difference"] <= entry["interval_95"][1], name
     whole = {name for name, entry in run["metrics"].items() if entry["no_interval"] == "one number for the whole log"}
-    assert whole == {f"tracks.{name}.{q}" for name in ("life_s", "speed_mps") for q in ("median", "p90")}
+    quantiles = {f"tracks.{name}.{q}" for name in ("life_s", "speed_mps") for q in ("median", "p90")}
+    assert whole == quantiles | {"hota.hota", "hota.hota_all_tracks", "hota.ass_a"}
 
 
 def test_a_run_differs_from_itself_by_nothing(folder: Path, tmp_path: Path) -> None:

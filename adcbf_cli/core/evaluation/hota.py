@@ -3,11 +3,10 @@
 Definition: Luiten et al., "HOTA: A Higher Order Metric for Evaluating Multi-Object Tracking",
 IJCV 2021. The similarity of an object and a track is max(0, 1 - d / d0), d their centres' distance.
 
-The scores are no means, so a stretch of the log has no share in them that could be drawn anew. To first
-order it has one: the scores are smooth functions of counts that add up over stretches, and the derivative
-along a stretch's own counts is its influence (the infinitesimal jackknife of Jaeckel 1972). It takes who is whom
-as it was found: association depends on when in an object's life its track changes, which no redrawing of frames
-shows, so that what influences say of AssA, and of HOTA by it, is too little.
+Detection's and localisation's scores are, at each threshold, ratios of counts that add up over stretches of the log.
+The derivative along a stretch's own counts is its influence on them (the infinitesimal jackknife of Jaeckel 1972),
+which can be drawn anew. AssA, and HOTA by it, are given none: an identity lasts longer than a stretch, and drawn
+stretches keep the identity changes that the log has, so that far too little would seem uncertain.
 """
 
 from __future__ import annotations
@@ -26,8 +25,9 @@ THRESHOLDS = np.arange(1, 20) * 0.05
 class HotaScores:
     """Means over the thresholds, each in [0, 1]; None where nothing could be scored.
 
-    influence: by score that is not None, (b,) how far each stretch moves it, for the pairs as they were matched over
-    the whole sequence; they add up to zero. stretch: (b,) the stretches' keys, ascending.
+    influence: of those of det_a, det_re, det_pr and loc_a that are not None, (b,) how far each stretch moves it, for
+    the pairs as they were matched over the whole sequence; they add up to zero. stretch: (b,) the stretches' keys,
+    ascending.
     """
 
     hota: float | None
@@ -67,53 +67,36 @@ class Hota:
         if not objects or not tracks:
             empty = 0.0 if objects or tracks else None
             det_re, det_pr = (0.0 if objects else None), (0.0 if tracks else None)
-            known = {"hota": empty, "det_a": empty, "det_re": det_re, "det_pr": det_pr}
-            still = {name: np.zeros(len(stretches)) for name, value in known.items() if value is not None}
+            detection = {"det_a": empty, "det_re": det_re, "det_pr": det_pr}
+            still = {name: np.zeros(len(stretches)) for name, value in detection.items() if value is not None}
             return HotaScores(empty, empty, det_re, det_pr, None, None, objects, tracks, stretches, still)
         object_ids = np.unique(np.concatenate([o for o, _, _ in self._frames]))
         track_ids = np.unique(np.concatenate([t for _, t, _ in self._frames]))
         frames = [(np.searchsorted(object_ids, o), np.searchsorted(track_ids, t), s) for o, t, s in self._frames]
-        sequence = _Sequence(
-            object_rank=np.concatenate([o for o, _, _ in frames]),
-            track_rank=np.concatenate([t for _, t, _ in frames]),
-            object_stretch=np.repeat(of_frame, [len(o) for o, _, _ in frames]),
-            track_stretch=np.repeat(of_frame, [len(t) for _, t, _ in frames]),
-            stretches=len(stretches),
+        object_count = np.bincount(np.concatenate([o for o, _, _ in frames]))[:, None]
+        track_count = np.bincount(np.concatenate([t for _, t, _ in frames]))[None, :]
+        pairs = _pairs(frames, _alignment(frames, object_count, track_count), of_frame)
+        objects_in = np.bincount(of_frame, [len(o) for o, _, _ in frames])[:, None].astype(np.float64)
+        tracks_in = np.bincount(of_frame, [len(t) for _, t, _ in frames])[:, None].astype(np.float64)
+        ratios = _ratios(pairs, objects_in, tracks_in)
+        ass_a = _association(pairs, object_count, track_count)
+        return HotaScores(
+            **{name: float(value.mean()) for name, (value, _) in ratios.items()},
+            hota=float(np.sqrt(ratios["det_a"][0] * ass_a).mean()),
+            ass_a=float(ass_a.mean()),
+            objects=objects,
+            tracks=tracks,
+            stretch=stretches,
+            influence={name: influence.mean(axis=1) for name, (_, influence) in ratios.items()},
         )
-        pairs = _pairs(frames, _alignment(frames, sequence), of_frame)
-        found = [_at_threshold(sequence, *pairs, threshold) for threshold in THRESHOLDS]
-        values = {name: float(np.mean([score[name][0] for score in found])) for name in found[0]}
-        influence = {name: np.mean([score[name][1] for score in found], axis=0) for name in found[0]}
-        return HotaScores(**values, objects=objects, tracks=tracks, stretch=stretches, influence=influence)
 
 
 _Frames = list[tuple[IntArray, IntArray, FloatArray]]
+_Pairs = tuple[IntArray, IntArray, FloatArray, IntArray]
 
 
-@dataclass(frozen=True, slots=True)
-class _Sequence:
-    """Every appearance of an object (n,) and of a track (m,): which, by rank, and in which of the stretches."""
-
-    object_rank: IntArray
-    track_rank: IntArray
-    object_stretch: IntArray
-    track_stretch: IntArray
-    stretches: int
-
-    @property
-    def object_count(self) -> IntArray:
-        """(objects, 1) in how many frames each is."""
-        return np.bincount(self.object_rank)[:, None]
-
-    @property
-    def track_count(self) -> IntArray:
-        """(1, tracks) in how many frames each is."""
-        return np.bincount(self.track_rank)[None, :]
-
-
-def _alignment(frames: _Frames, sequence: _Sequence) -> FloatArray:
+def _alignment(frames: _Frames, object_count: IntArray, track_count: IntArray) -> FloatArray:
     """How well each object and track go together over the whole sequence (a soft Jaccard index)."""
-    object_count, track_count = sequence.object_count, sequence.track_count
     overlap = np.zeros((object_count.shape[0], track_count.shape[1]))
     for objects, tracks, sim in frames:
         union = sim.sum(axis=0)[None, :] + sim.sum(axis=1)[:, None] - sim
@@ -123,13 +106,11 @@ def _alignment(frames: _Frames, sequence: _Sequence) -> FloatArray:
     return result
 
 
-def _pairs(
-    frames: _Frames, alignment: FloatArray, of_frame: IntArray
-) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
-    """The one-to-one pairs of every frame: object rank, track rank, similarity, stretch."""
+def _pairs(frames: _Frames, alignment: FloatArray, of_frame: IntArray) -> _Pairs:
+    """The one-to-one pairs of every frame: object rank, track rank, similarity, rank of the stretch."""
     from scipy.optimize import linear_sum_assignment
 
-    found: list[tuple[IntArray, IntArray, FloatArray, IntArray]] = []
+    found: list[_Pairs] = []
     for (objects, tracks, sim), stretch in zip(frames, of_frame.tolist(), strict=True):
         if not sim.any():
             continue
@@ -142,48 +123,38 @@ def _pairs(
     return rank, column, sim, stretches
 
 
-def _at_threshold(
-    sequence: _Sequence, rank: IntArray, column: IntArray, sim: FloatArray, stretch: IntArray, threshold: float
-) -> dict[str, tuple[float, FloatArray]]:
-    """Each score where pairs of at least this similarity count, and its derivative along every stretch."""
-    hit = sim >= threshold - np.finfo(float).eps
-    rank, column, sim, stretch = rank[hit], column[hit], sim[hit], stretch[hit]
-
-    def by_stretch(where: IntArray, weights: FloatArray | None = None) -> FloatArray:
-        return np.bincount(where, weights, sequence.stretches).astype(np.float64)
-
-    matched, d_matched = len(rank), by_stretch(stretch)
-    objects, d_objects = len(sequence.object_rank), by_stretch(sequence.object_stretch)
-    tracks, d_tracks = len(sequence.track_rank), by_stretch(sequence.track_stretch)
-    either, d_either = objects + tracks - matched, d_objects + d_tracks - d_matched
-    det_a = matched / either
-    scores = {
-        "det_a": (det_a, (d_matched - det_a * d_either) / either),
-        "det_re": (matched / objects, (d_matched - matched / objects * d_objects) / objects),
-        "det_pr": (matched / tracks, (d_matched - matched / tracks * d_tracks) / tracks),
+def _ratios(pairs: _Pairs, objects: FloatArray, tracks: FloatArray) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """By score, (thresholds,) its values and (b, thresholds) the stretches' influences on them. objects, tracks: (b, 1)
+    how many appear in each stretch."""
+    _, _, sim, stretch = pairs
+    hit = sim[:, None] >= THRESHOLDS - np.finfo(float).eps
+    matched, similar = np.zeros((2, len(objects), len(THRESHOLDS)))
+    np.add.at(matched, stretch, hit)
+    np.add.at(similar, stretch, hit * sim[:, None])
+    # A threshold without matches says nothing of where they are; the reference counts it as 1.
+    none = matched.sum(axis=0) == 0
+    parts = {
+        "det_a": (matched, objects + tracks - matched),
+        "det_re": (matched, objects),
+        "det_pr": (matched, tracks),
+        "loc_a": (np.where(none, 1.0, similar), np.where(none, 1.0, matched)),
     }
-    if not matched:
-        # A threshold without matches says nothing of where they are; the reference counts it as 1.
-        nothing = np.zeros(sequence.stretches)
-        return scores | {"hota": (0.0, nothing), "ass_a": (0.0, nothing), "loc_a": (1.0, nothing)}
-    object_count, track_count = sequence.object_count, sequence.track_count
-    together = np.zeros((object_count.shape[0], track_count.shape[1]))
-    np.add.at(together, (rank, column), 1.0)
-    jaccard = together / (object_count + track_count - together)
-    # The sum of A over the matches is that of t A over pairs, A = t / (o + r - t): by t it goes with 2 A + A^2, by
-    # the object's count o and the track's r with -A^2.
-    ass_a = float((together * jaccard).sum()) / matched
-    squared = jaccard**2
-    d_sum = (
-        by_stretch(stretch, (2.0 * jaccard + squared)[rank, column])
-        - by_stretch(sequence.object_stretch, squared.sum(axis=1)[sequence.object_rank])
-        - by_stretch(sequence.track_stretch, squared.sum(axis=0)[sequence.track_rank])
-    )
-    d_ass_a = (d_sum - ass_a * d_matched) / matched
-    hota = float(np.sqrt(det_a * ass_a))
-    loc_a = float(sim.sum()) / matched
-    return scores | {
-        "hota": (hota, 0.5 * hota * (scores["det_a"][1] / det_a + d_ass_a / ass_a)),
-        "ass_a": (ass_a, d_ass_a),
-        "loc_a": (loc_a, (by_stretch(stretch, sim) - loc_a * d_matched) / matched),
-    }
+    result = {}
+    for name, (part, whole) in parts.items():
+        total = whole.sum(axis=0)
+        value = part.sum(axis=0) / total
+        result[name] = value, (part - value * whole) / total
+    return result
+
+
+def _association(pairs: _Pairs, object_count: IntArray, track_count: IntArray) -> FloatArray:
+    """(thresholds,) AssA; 0 where nothing matches."""
+    rank, column, sim, _ = pairs
+    result = np.zeros(len(THRESHOLDS))
+    for k, threshold in enumerate(THRESHOLDS):
+        hit = sim >= threshold - np.finfo(float).eps
+        together = np.zeros((object_count.shape[0], track_count.shape[1]))
+        np.add.at(together, (rank[hit], column[hit]), 1.0)
+        jaccard = together / (object_count + track_count - together)
+        result[k] = float((together * jaccard).sum()) / max(1, int(hit.sum()))
+    return result

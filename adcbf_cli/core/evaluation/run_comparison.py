@@ -1,7 +1,7 @@
 """Two scored runs side by side: each metric's difference, with an interval where the evidence allows one.
 
-Means, counts and scores are paired by blocks of one log, drives by their seeds. What is not paired, a quantile over
-the whole log or a run on another log, has a difference and no interval, and it is said why.
+Means, counts and scores are paired by blocks of one log, drives by their seeds. What is not paired, a quantile or HOTA
+over the whole log, or a run on another log, has a difference and no interval, and it is said why.
 """
 
 from __future__ import annotations

@@ -44,20 +44,19 @@ class Scene:
         )
 
 
-def random_scene(seed: int, frames: int = 25, apart: bool = False, swaps: float = 0.15, ends: float = 0.1) -> Scene:
+def random_scene(seed: int, frames: int = 25, apart: bool = False) -> Scene:
     """Four objects that walk about, tracks that miss, swap, drift away, and false ones. `apart`: so far
-    from each other that no track is near two of them. `swaps`, `ends`: how likely in a frame two tracks change
-    places, and one gives way to a new one."""
+    from each other that no track is near two of them."""
     rng = np.random.default_rng(seed)
     at = np.array([[0.0, 20.0 * i] for i in range(4)]) if apart else rng.uniform(-4, 4, (4, 2))
     track_of = np.arange(4) + 10
     result = []
     for _ in range(frames):
         at = at + rng.normal(0, 0.15, at.shape)
-        if rng.random() < swaps:
+        if rng.random() < 0.15:
             swap = rng.permutation(4)[:2]
             track_of[swap] = track_of[swap[::-1]]
-        if rng.random() < ends:
+        if rng.random() < 0.1:
             track_of[rng.integers(4)] = track_of.max() + 1
         seen = rng.random(4) < 0.85
         seen[0] = True  # the references treat frames without any track in ways of their own
@@ -214,12 +213,13 @@ def test_hota_by_hand() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_stretchs_influence_is_what_seeing_it_more_often_does(seed: int) -> None:
-    """The derivative of every score along a stretch's weight, by finite differences over whole evaluations."""
+    """The derivative of each such score along a stretch's weight, by finite differences over whole evaluations."""
     often = 40
     scene = random_scene(seed, apart=True)  # so that more of one stretch changes no match
     stretches = [scene.frames[k : k + STRETCH] for k in range(0, len(scene.frames), STRETCH)]
     scores, base = scene.hota().scores(), Scene(scene.frames * often).hota().scores()
     assert scores.stretch.tolist() == [0, 1, 2, 3, 4]
+    assert scores.influence.keys() == {"det_a", "det_re", "det_pr", "loc_a"}
     for b, stretch in enumerate(stretches):
         more = Scene(scene.frames * often + stretch).hota().scores()
         for name, influence in scores.influence.items():
@@ -230,11 +230,9 @@ def test_a_stretchs_influence_is_what_seeing_it_more_often_does(seed: int) -> No
         assert np.abs(influence).max() > 1e-3, name
 
 
-def test_a_drawn_hota_is_that_of_drawn_stretches() -> None:
-    """The spread that influences give is that of scoring stretches drawn anew, each draw a whole evaluation. Tracks
-    live long here: where they hardly outlive a stretch, a stretch that is drawn twice is a life twice as long, and
-    influences, which are of first order, fall short by a quarter."""
-    scene = random_scene(3, frames=200, apart=True, swaps=0, ends=0.02)
+def test_drawn_influences_vary_as_scores_of_drawn_stretches_do() -> None:
+    """The spread that influences give is that of scoring stretches drawn anew, each draw a whole evaluation."""
+    scene = random_scene(3, frames=200, apart=True)
     stretches = [scene.frames[k : k + STRETCH] for k in range(0, len(scene.frames), STRETCH)]
     scores = scene.hota().scores()
     rng = np.random.default_rng(1)
@@ -245,26 +243,11 @@ def test_a_drawn_hota_is_that_of_drawn_stretches() -> None:
         assert np.sqrt((influence**2).sum()) == pytest.approx(spread, rel=0.2), name
 
 
-@pytest.mark.parametrize(("swaps", "ends", "share"), [(0.02, 0.02, 0.33), (0.15, 0.1, 0.67)])
-def test_what_influences_say_of_other_scenes_of_the_kind(swaps: float, ends: float, share: float) -> None:
-    """As docs/metrics.md has it: they tell how detection and localisation differ from one scene to the next, and
-    make too little of how association does, since every scene's identities end elsewhere: only `share` of it."""
-    scores = [random_scene(seed, 200, True, swaps, ends).hota().scores() for seed in range(60)]
-    told, true = {}, {}
-    for name in scores[0].influence:
-        told[name] = np.sqrt(np.mean([(one.influence[name] ** 2).sum() for one in scores]))
-        true[name] = np.std([getattr(one, name) for one in scores])
-    for name in ("det_a", "det_re", "det_pr", "loc_a"):
-        assert told[name] == pytest.approx(true[name], rel=0.3), name
-    for name in ("hota", "ass_a"):
-        assert told[name] / true[name] == pytest.approx(share, rel=0.2), name
-
-
 def test_a_run_without_tracks_scores_nothing_whichever_stretch_is_seen() -> None:
     scores = Scene([frame({1: 0.0}, {})] * 3 * STRETCH).hota().scores()
     assert scores.stretch.tolist() == [0, 1, 2]
     assert {name: influence.tolist() for name, influence in scores.influence.items()} == {
-        name: [0.0, 0.0, 0.0] for name in ("hota", "det_a", "det_re")
+        name: [0.0, 0.0, 0.0] for name in ("det_a", "det_re")
     }
 
 

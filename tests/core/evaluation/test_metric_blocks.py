@@ -55,7 +55,9 @@ def test_the_run_has_what_it_should(metrics: Mapping[str, Metric]) -> None:
 def test_every_metric_is_what_its_blocks_add_up_to(metrics: Mapping[str, Metric]) -> None:
     known = {name: metric for name, metric in metrics.items() if metric.value is not None}
     whole = {name for name, metric in known.items() if metric.blocks is None}
-    assert whole == {f"tracks.{name}.{q}" for name in ("life_s", "speed_mps") for q in ("median", "p90")}
+    quantiles = {f"tracks.{name}.{q}" for name in ("life_s", "speed_mps") for q in ("median", "p90")}
+    assert whole == quantiles | {"hota.hota", "hota.hota_all_tracks", "hota.ass_a"}
+    assert all(known[name].interval is None for name in whole)
     for name in known.keys() - whole:
         blocks = known[name].blocks
         assert blocks is not None
@@ -67,7 +69,7 @@ def test_an_interval_is_around_its_metric(metrics: Mapping[str, Metric]) -> None
     spread = {
         name: metric for name, metric in metrics.items() if metric.interval is not None and metric.value is not None
     }
-    for name in ("clear.mota", "clear.misses", "clear.switches", "hota.hota", "tracking.bias_along_m"):
+    for name in ("clear.mota", "clear.misses", "clear.switches", "hota.det_a", "tracking.bias_along_m"):
         low, high = spread[name].interval or (0.0, 0.0)
         assert low < high, name
     for name, metric in spread.items():
@@ -87,7 +89,7 @@ def test_false_tracks_where_nothing_is_labelled_count_for_mota(metrics: Mapping[
 def test_without_tracks_there_are_blocks_to_pair_with() -> None:
     """A tracker that reports nothing is at zero, which is no reason to leave it out of a comparison."""
     found = Run([Labelled(WALK)], [], count=60, steps=5).score(CONFIG).metrics
-    for name in ("clear.mota", "hota.hota", "hota.det_a"):
+    for name in ("clear.mota", "hota.det_a", "hota.det_re"):
         assert (found[name].value, found[name].interval) == (0.0, (0.0, 0.0)), name
         blocks = found[name].blocks
         assert blocks is not None
