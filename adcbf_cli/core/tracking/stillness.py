@@ -9,7 +9,7 @@ its centre may wander by a share of the obstacle's radius times that angle.
 
 What creeps can hide behind these for as long as the time looked at is short. So twice that time is
 looked at too: what went steadily farther than the least distance of the shorter one, error and drift
-allowed for, moves.
+allowed for, moves. And who walks slowly pauses at each step: what moved over twice the time does not stand yet.
 
 Odometry drifts too, and everything that stands still then moves alike. What most tracks do together
 is taken out first, where the ego moves and it is small beside the ego's own speed.
@@ -149,6 +149,7 @@ def still(
     speed = np.linalg.norm(whole.velocity_mps - drift, axis=1)
     slow = speed <= SLOWEST_CLEAR_MOTION * least + _viewpoint_drift(whole, size_m)
     settled = speed < STAY_MOVING_FRACTION * _feigned_speed(whole, size_m, least)
+    settled &= ~((long.span_s > config.static_window_s) & _exceeds(long, drift, size_m, least))
     result: BoolArray = np.where(was_still, ~starts, known & slow & settled & ~starts)
     return result
 

@@ -118,6 +118,14 @@ def test_what_crept_and_stopped_stands() -> None:
     assert is_still(path, was=False)
 
 
+def test_who_pauses_in_a_step_does_not_stand_yet() -> None:
+    """Half a step at 0.4 m/s, half at 0.05: the newer half alone would stand."""
+    first = walk((0.4, 0.0), k=15)
+    path = np.concatenate([first, walk((0.05, 0.0), start=(first[-1, 0], 0.0))])
+    assert is_still(path[-16:], was=False)
+    assert not is_still(path, was=False)
+
+
 def test_drift_that_most_tracks_share_is_the_odometrys() -> None:
     """Twelve poles drift at 0.4 m/s under an ego at 5 m/s, one person walks through them."""
     rng = np.random.default_rng(4)
