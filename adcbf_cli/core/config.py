@@ -178,7 +178,7 @@ class TrackingConfig(StageConfig):
     max_coast_s: Positive = Field(
         1.0,
         description="An unseen track goes on for this long, or as long as it had been followed, if that is less; up "
-        "to three times as long while something nearer hides it.",
+        "to three times as long while something nearer hides it from a 3-D LiDAR.",
     )
     static_window_s: Positive = Field(1.5, description="Time over which motion is looked for.")
     static_speed_mps: Positive = Field(0.1, description="Slower obstacles stand still.")

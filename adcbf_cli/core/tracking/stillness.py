@@ -9,7 +9,8 @@ its centre may wander by a share of the obstacle's radius times that angle.
 
 What creeps can hide behind these for as long as the time looked at is short. So twice that time is
 looked at too: what went steadily farther than the least distance of the shorter one, error and drift
-allowed for, moves. And who walks slowly pauses at each step: what moved over twice the time does not stand yet.
+allowed for, moves. And who walks slowly pauses at each step: what moved over twice the time, and
+still does a little, does not stand yet.
 
 Odometry drifts too, and everything that stands still then moves alike. What most tracks do together
 is taken out first, where the ego moves and it is small beside the ego's own speed.
@@ -43,6 +44,8 @@ WANDER_SHARE = 0.5
 left of it once sizes were learnt, by less than half of this for 99 % of what stands near a driving ego (simulated)."""
 STEADY_SHARE = 0.5
 """What creeps goes on in the window with at least this share of its velocity over the long one, or it has stopped."""
+PAUSING_SHARE = 0.3
+"""Who pauses in a step goes on with at least this share of it: what stops goes on with less, a second later."""
 SHORTEST_SHARE = 1 / 3
 """Of the window, that sightings must span before a track can be said to stand still."""
 MIN_TRACKS_FOR_DRIFT = 8
@@ -149,7 +152,7 @@ def still(
     speed = np.linalg.norm(whole.velocity_mps - drift, axis=1)
     slow = speed <= SLOWEST_CLEAR_MOTION * least + _viewpoint_drift(whole, size_m)
     settled = speed < STAY_MOVING_FRACTION * _feigned_speed(whole, size_m, least)
-    settled &= ~((long.span_s > config.static_window_s) & _exceeds(long, drift, size_m, least))
+    settled &= ~_pauses(whole, long, drift, size_m, config)
     result: BoolArray = np.where(was_still, ~starts, known & slow & settled & ~starts)
     return result
 
@@ -181,10 +184,21 @@ def _exceeds(slope: Slope, drift: FloatArray, size_m: FloatArray, least_speed_mp
 
 def _creeps(whole: Slope, long: Slope, drift: FloatArray, size_m: FloatArray, config: TrackingConfig) -> BoolArray:
     """(n,) which tracks went on steadily over the long window, and still do over the whole short one."""
+    steady = _goes_on(whole, long, drift, STEADY_SHARE, config)
+    return np.asarray(steady & _exceeds(long, drift, size_m, config.static_speed_mps / LONG_FACTOR))
+
+
+def _pauses(whole: Slope, long: Slope, drift: FloatArray, size_m: FloatArray, config: TrackingConfig) -> BoolArray:
+    """(n,) which tracks moved over the long window, and have slowed down over the short one but not stopped."""
+    slowed = _goes_on(whole, long, drift, PAUSING_SHARE, config)
+    return np.asarray(slowed & _exceeds(long, drift, size_m, config.static_speed_mps))
+
+
+def _goes_on(whole: Slope, long: Slope, drift: FloatArray, share: float, config: TrackingConfig) -> BoolArray:
+    """(n,) which tracks were seen over the long window, and have kept at least this share of their velocity over it."""
     velocity, lasting = whole.velocity_mps - drift, long.velocity_mps - drift
-    steady = (velocity * lasting).sum(axis=1) >= STEADY_SHARE * (lasting**2).sum(axis=1)
-    seen_long = long.span_s > config.static_window_s
-    return np.asarray(seen_long & steady & _exceeds(long, drift, size_m, config.static_speed_mps / LONG_FACTOR))
+    kept = (velocity * lasting).sum(axis=1) >= share * (lasting**2).sum(axis=1)
+    return np.asarray(kept & (long.span_s > config.static_window_s))
 
 
 def common_drift(slope: Slope, known: BoolArray) -> FloatArray:

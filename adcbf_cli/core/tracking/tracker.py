@@ -31,7 +31,8 @@ from adcbf_cli.core.tracking.views import learn_sizes, size_doubt, view_bodies
 from adcbf_cli.core.types import NO_ID, BoolArray, Clusters, FloatArray, IntArray, Notes, Tracks, TrackStatus
 
 HIDDEN_FACTOR = 2.0
-"""Times what an unseen track goes on for, that it goes on further while something nearer hides it."""
+"""Times what an unseen track goes on for, that it goes on further while something nearer hides it. Not for a planar
+laser, in whose logs this made one of two passing tracks keep the other's cluster."""
 
 
 class Tracker:
@@ -79,7 +80,7 @@ class Tracker:
             held = hold_faint(bank, clusters, self._now_s, *stood)
             unseen = bank.cluster_id == NO_ID
             state, _ = combine(bank.states, bank.covariances, bank.modes)
-            hidden = unseen & is_hidden(state[:, :3], clusters)
+            hidden = unseen & is_hidden(state[:, :3], clusters) & (not clusters.planar)
             bank.hidden_s = np.where(unseen, bank.hidden_s + dt * hidden, 0.0)
             self._end_and_confirm(bank)
             if not taken.all():

@@ -119,11 +119,12 @@ def test_what_crept_and_stopped_stands() -> None:
 
 
 def test_who_pauses_in_a_step_does_not_stand_yet() -> None:
-    """Half a step at 0.4 m/s, half at 0.05: the newer half alone would stand."""
-    first = walk((0.4, 0.0), k=15)
-    path = np.concatenate([first, walk((0.05, 0.0), start=(first[-1, 0], 0.0))])
+    """Half a step at 0.3 m/s, half at 0.06: the newer half alone would stand. Without any motion in it, both stand."""
+    first = walk((0.3, 0.0), k=15)
+    path = np.concatenate([first, walk((0.06, 0.0), start=(first[-1, 0], 0.0))])
     assert is_still(path[-16:], was=False)
     assert not is_still(path, was=False)
+    assert is_still(np.concatenate([first, walk((0.0, 0.0), start=(first[-1, 0], 0.0))]), was=False)
 
 
 def test_drift_that_most_tracks_share_is_the_odometrys() -> None:

@@ -225,7 +225,7 @@ def test_stop_and_go(make_clusters: Make) -> None:
         assert tracks.track_id.tolist() == [0]
         assert abs(tracks.state[0, 0] - x) < 0.15, "stopping dead overshoots by a step or so"
     assert not any(static[10:41])
-    assert all(static[63:75])
+    assert all(static[62:75])
     assert not any(static[85:])
     assert tracks.state[0, 3] == pytest.approx(1.3, abs=0.15)
 
