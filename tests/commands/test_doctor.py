@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +94,7 @@ def test_plugins_are_put_to_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     """What can be imported may still not be made, plan nothing, or leave the process."""
     (tmp_path / "strange.py").write_text("""
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 def planner(plan):
@@ -174,5 +176,11 @@ def test_the_self_test_notices_a_tracker_that_lost_the_post() -> None:
     blind = Config.model_validate({"perception": {"range_m": 1.0}})
     assert run_self_test(predict_scene(blind), blind).problems == ("0 tracks of one post",)
     slow = Config.model_validate({"tracking": {"sigma_speed_mps": 0.01, "sigma_accel_mps2": 0.01}})
-    problems = run_self_test(predict_scene(slow), slow).problems
-    assert any("m/s off" in text for text in problems)
+    assert run_self_test(predict_scene(slow), slow).problems == ("2 tracks of one post",), "it walks on, and hides one"
+
+
+def test_the_self_test_notices_a_wrong_velocity() -> None:
+    right = predict_scene(Config())
+    wrong = replace(right, velocity_mps=right.velocity_mps + 0.5)
+    assert not run_self_test(right, Config()).problems
+    assert any("m/s off" in text for text in run_self_test(wrong, Config()).problems)
