@@ -7,7 +7,10 @@ All heights are in the levelled sensor frame (origin at the sensor, z against gr
    from that plane (a shear: upright things stay upright), so that a 20 degree slope looks flat.
 2. Patchwork++ (Lee et al., IROS 2022) fits planes to small patches of what is left and so follows
    the ground's shape. Its patches are sized as in the publication for a car's 80 m, and kept about
-   1.5 m long for the smaller surroundings of a small robot.
+   1.5 m long for the smaller surroundings of a small robot. Below the lowest beam there is no ground
+   to be seen, and what rises into the beams there, as a rock beside the wheels, would be the lowest
+   thing in its patch: so the patches around the robot are also given the coarse plane where no beam
+   reaches it.
 3. A *height map* of the ground that it found says for each remaining point how high above the local
    ground it is. That drops overhangs, the remains in patches with too few points for a fit, and
    roofs that were taken for ground.
@@ -62,6 +65,11 @@ PLANE_POINTS = 20_000
 """Of denser scans every second, third ... point is enough for the coarse plane."""
 
 HYPOTHESES = 200
+
+BLIND_M = 5.0
+BLIND_STEP_M = 0.1
+"""Where no beam reaches the ground, so far away at most, the coarse plane is sampled in such steps."""
+
 MAP_CELL_M = 0.5
 ROOF_WINDOW_CELLS = 7
 """A raised patch of ground that a 3.5 m square does not fit into is no ground but a roof."""
@@ -239,11 +247,30 @@ class GroundRemoval:
             self._patchwork = _new_patchwork(sensor_height_m, self._config.min_range_m, self.fit_radius_m)
         fitted = np.flatnonzero(~_in_holes(points_m[:, :2], above_plane_m))
         flattened = np.column_stack([points_m[fitted, :2], above_plane_m[fitted] - sensor_height_m])
-        self._patchwork.estimateGround(flattened.astype(np.float32))
-        ground = fitted[self._patchwork.getGroundIndices()]
+        blind = _disc(_blind_m(points_m[fitted, :2], above_plane_m[fitted], sensor_height_m), BLIND_STEP_M)
+        unseen = np.column_stack([blind, np.full(len(blind), -sensor_height_m)])
+        self._patchwork.estimateGround(np.concatenate([flattened, unseen]).astype(np.float32))
+        found = self._patchwork.getGroundIndices()
+        ground = fitted[found[found < len(fitted)]]
         if len(ground) == 0:
             return above_plane_m
         return _above_ground_map(points_m[:, :2], above_plane_m, ground)
+
+
+def _blind_m(xy_m: FloatArray, above_plane_m: FloatArray, sensor_height_m: float) -> float:
+    """How far around the sensor no ground is seen: to where the steepest ray of these points meets the plane."""
+    down_m = sensor_height_m - above_plane_m
+    down = down_m > 0.0
+    meets_m = np.hypot(xy_m[down, 0], xy_m[down, 1]) * sensor_height_m / down_m[down]
+    return float(meets_m.min(initial=BLIND_M))
+
+
+def _disc(radius_m: float, step_m: float) -> FloatArray:
+    """(k, 2) the points of a square grid around the origin that are within a radius of it."""
+    line = step_m * np.arange(-int(radius_m / step_m), int(radius_m / step_m) + 1)
+    x, y = np.meshgrid(line, line)
+    within = np.hypot(x, y) <= radius_m
+    return np.column_stack([x[within], y[within]])
 
 
 def _in_holes(xy_m: FloatArray, above_plane_m: FloatArray) -> BoolArray:

@@ -59,6 +59,35 @@ def test_slopes_are_ground_and_posts_on_them_are_not(height_m: float, slope_deg:
     assert error.max() < 0.3
 
 
+@pytest.mark.parametrize("height_m", [0.7, 1.0])
+@pytest.mark.parametrize("slope_deg", [0.0, 5.0])
+def test_a_rock_where_no_ground_is_seen_is_not_ground(height_m: float, slope_deg: float) -> None:
+    """The lowest beam, 15 degrees down, meets the ground 1.9 m and more away; a rock of half the sensor's height and
+    more, nearer than that, is all that its patch holds."""
+    rng = np.random.default_rng(7)
+    lidar = scenes.Lidar(elevation_deg=np.linspace(-15.0, 15.0, 16))
+    slope = np.tan(np.radians(slope_deg))
+    bearing = np.radians(np.arange(0.0, 360.0, 30.0))
+    seen_as_obstacle = []
+    for x, y in 1.1 * np.column_stack([np.cos(bearing), np.sin(bearing)]):
+        foot_m = slope * x - height_m
+        steps = [
+            scenes.cylinder(x, y, radius, foot_m, foot_m + share * height_m)  # a cone, more or less
+            for radius, share in ((0.4, 0.6), (0.3, 0.7), (0.2, 0.75), (0.1, 0.8))
+        ]
+        points = lidar.scan([scenes.plane(height_m, slope_x=slope), *steps], rng)
+        on_rock = np.hypot(points[:, 0] - x, points[:, 1] - y) < 0.45
+        on_rock &= points[:, 2] - (slope * points[:, 0] - height_m) > 0.2
+        if on_rock.sum() < 20:  # the lowest beam passes over it
+            continue
+        ground = removal()
+        for _ in range(3):
+            heights = ground.heights(points)
+        seen_as_obstacle.append(kept(heights)[on_rock].mean() > 0.9)
+    assert len(seen_as_obstacle) >= 9
+    assert all(seen_as_obstacle)
+
+
 def test_rough_ground_is_ground() -> None:
     rng = np.random.default_rng(4)
     flat = LIDAR.scan([scenes.plane(0.8)], rng)
