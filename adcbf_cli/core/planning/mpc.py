@@ -26,7 +26,7 @@ from adcbf_cli.core.vehicles.vehicle import Vehicle
 STUCK_SHARE = 0.3
 """A plan whose mean speed is below this share of the reference's looks for another way."""
 
-EVADE_GAIN_M = 0.05
+EVADE_GAIN_M = 0.01
 """A way out has to keep this much more room than the solver's plan does."""
 
 FEASIBLE_M2 = 1e-6

@@ -21,6 +21,8 @@ NOISE_MEMORY_HITS = 50.0
 """Innovations that the noise estimate remembers: a few seconds, as views change slowly."""
 GROWING_GAIN = 0.3
 SHRINKING_GAIN = 0.05
+IDENTITY = ("track_id", "status", "born_s", "hits", "misses", "frames", "nis")
+"""What a track keeps that begins anew."""
 
 
 @dataclass(slots=True)
@@ -114,6 +116,17 @@ class TrackBank:
                 setattr(self, field.name, value.joined(other.bodies))
             else:
                 setattr(self, field.name, np.concatenate([value, getattr(other, field.name)]))
+
+    def restart(self, rows: IntArray, other: TrackBank) -> None:
+        """Tracks `rows` (k,) are from now on the k new ones of `other`, under their old identifiers."""
+        for field in fields(self):
+            if field.name in IDENTITY:
+                continue
+            value, new = getattr(self, field.name), getattr(other, field.name)
+            if isinstance(value, np.ndarray):
+                value[rows] = new
+            else:
+                value.put(rows, new)
 
 
 def smoothed_size(old: FloatArray, seen: FloatArray) -> FloatArray:

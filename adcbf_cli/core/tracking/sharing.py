@@ -24,6 +24,9 @@ PARTING_SIGMAS = 2.45
 """Two tracks move differently where their velocities differ by more than both, and 95 % of equal ones do not."""
 LARGER = 1.2
 """Times a track's radius, that a cluster which holds more than its body has at least."""
+PIECE = 0.7
+YOUNG_S = 1.5
+"""Two clusters of less than this share of the radius of a track that is no older than this, are what it was made of."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,3 +99,15 @@ def homes(visible_m: FloatArray, eligible: BoolArray, clusters: Clusters, margin
     smallest = np.argmin(size, axis=1)
     found: IntArray = np.where(inside.any(axis=1), smallest, NO_ID)
     return found
+
+
+def come_apart(
+    place_m: FloatArray, radius_m: FloatArray, columns: IntArray, clusters: Clusters, free: BoolArray
+) -> BoolArray:
+    """(k,) which tracks, expected at place_m (k, 2) with radii (k,), turn out to have been two things: both the cluster
+    that each took, `columns` (k,), and another that is `free` (c,) reach into its circle and are much smaller."""
+    gap = np.linalg.norm(clusters.centre_m[:, :2] - place_m[:, None], axis=-1) - radius_m[:, None]
+    is_piece = (gap < clusters.radius_m) & (clusters.radius_m < PIECE * radius_m[:, None])
+    is_piece &= clusters.split_from == NO_ID
+    result: BoolArray = is_piece[np.arange(len(columns)), columns] & (is_piece & free).any(axis=1)
+    return result

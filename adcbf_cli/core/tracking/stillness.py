@@ -83,6 +83,10 @@ class Sightings:
     def select(self, rows: BoolArray) -> Sightings:
         return Sightings(self.time_s[rows], self.position_m[rows], self.sensor_m[rows], self.cursor)
 
+    def put(self, rows: IntArray, new: Sightings) -> None:
+        """Tracks `rows` (k,) have been seen as the k new ones, so far never."""
+        self.time_s[rows], self.position_m[rows], self.sensor_m[rows] = new.time_s, new.position_m, new.sensor_m
+
     def grow(self, n: int) -> Sightings:
         """The same with n more tracks that were never seen."""
         new = Sightings.empty(n)

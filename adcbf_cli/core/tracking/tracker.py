@@ -23,7 +23,15 @@ from adcbf_cli.core.tracking.hiding import is_hidden
 from adcbf_cli.core.tracking.linalg import inverted, quadratic_form, symmetrised
 from adcbf_cli.core.tracking.measurement import noise_along_axes, nominal_variance
 from adcbf_cli.core.tracking.modes import ModeChain, combine, mix, reweighed
-from adcbf_cli.core.tracking.sharing import Sharing, homes, part_company, share_clusters, stand_and_move
+from adcbf_cli.core.tracking.sharing import (
+    YOUNG_S,
+    Sharing,
+    come_apart,
+    homes,
+    part_company,
+    share_clusters,
+    stand_and_move,
+)
 from adcbf_cli.core.tracking.standing import hold_faint, hold_structures
 from adcbf_cli.core.tracking.stillness import Sightings, known_to_move, still
 from adcbf_cli.core.tracking.structures import wall_pieces
@@ -84,7 +92,10 @@ class Tracker:
             bank.hidden_s = np.where(unseen, bank.hidden_s + dt * hidden, 0.0)
             self._end_and_confirm(bank)
             if not taken.all():
-                bank.append(self._born(kalman, clusters, ~taken))
+                born = self._born(kalman, clusters, np.flatnonzero(~taken))
+                born.track_id = self._next_id + np.arange(len(born), dtype=np.int64)
+                self._next_id += len(born)
+                bank.append(born)
             sensor_m = clusters.world_from_sensor[:2, 3]
             seen = bank.cluster_id != NO_ID
             seen[: len(held)] &= ~held
@@ -162,6 +173,8 @@ class Tracker:
         bank.seen_s[hidden] = self._now_s  # one with what moves past it, not gone
         if not len(rows):
             return taken
+        apart = come_apart(state[rows, :2], bank.radius_m[rows], columns, clusters, ~taken)
+        apart &= (self._now_s - bank.born_s[rows] <= YOUNG_S) & (not clusters.planar)
         doubt = size_doubt(bank, views, clusters, rows, columns)
         noise = self._noise(bank, kalman, rows, state, clusters.world_from_sensor, *doubt)
         measured = every[rows, columns]
@@ -181,6 +194,9 @@ class Tracker:
         bank.cluster_id[rows] = clusters.cluster_id[columns]
         bank.seen_s[rows] = self._now_s
         bank.hits[rows] += 1
+        anew = apart & ~is_piece[columns]
+        if anew.any():
+            bank.restart(rows[anew], self._born(kalman, clusters, columns[anew]))
         return taken
 
     def _sharing(self, bank: TrackBank, state: FloatArray, covariance: FloatArray, clusters: Clusters) -> Sharing:
@@ -285,9 +301,8 @@ class Tracker:
         bank.status[~tentative & ~seen] = TrackStatus.COASTING
         bank.status[hopeless | lost] = TrackStatus.ENDED
 
-    def _born(self, kalman: BatchFilter, clusters: Clusters, free: BoolArray) -> TrackBank:
-        """New tentative tracks from the clusters that no track took."""
-        rows = np.flatnonzero(free)
+    def _born(self, kalman: BatchFilter, clusters: Clusters, rows: IntArray) -> TrackBank:
+        """New tentative tracks from these clusters, without identifiers."""
         n, m, d = len(rows), len(self._chain.noise_factor), kalman.motion.dimension
         is_piece, spread_m = wall_pieces(clusters, self._config.structure_length_m)
         rotation = clusters.world_from_sensor[:3, :3]
@@ -299,10 +314,8 @@ class Tracker:
         covariance[:, np.arange(d), np.arange(d)] = kalman.motion.initial_variance
         placed = noise_along_axes(points, variance, spread_m[rows, None, :] @ rotation)
         covariance[:, :3, :3] = rotation @ placed @ rotation.T
-        identifiers = self._next_id + np.arange(n, dtype=np.int64)
-        self._next_id += n
         born = TrackBank.empty(m, d)
-        born.track_id = identifiers
+        born.track_id = np.full(n, NO_ID, dtype=np.int64)
         born.status = np.full(
             n, TrackStatus.CONFIRMED if self._config.confirm_hits == 1 else TrackStatus.TENTATIVE, dtype=np.int64
         )
