@@ -10,7 +10,7 @@ import pytest
 from adcbf_cli.core.config import TrackingConfig
 from adcbf_cli.core.frames import invert, transform_points
 from adcbf_cli.core.tracking.bodies import cut_surplus
-from adcbf_cli.core.tracking.sharing import homes, part_company, share_clusters, stand_and_move
+from adcbf_cli.core.tracking.sharing import come_apart, homes, part_company, share_clusters, stand_and_move
 from adcbf_cli.core.tracking.tracker import Tracker
 from adcbf_cli.core.types import NO_ID, Clusters, Notes, PointCounts, Tracks, TrackStatus
 
@@ -95,6 +95,41 @@ def test_two_that_meet_keep_their_speeds_and_sizes() -> None:
         assert tracks.state[row, :2] == pytest.approx(place, abs=0.03)
         assert tracks.state[row, 3:5] == pytest.approx([speed, 0.0], abs=0.05)
         assert tracks.radius_m[row] < 0.33  # 0.28 m, and 0.6 m together
+
+
+def test_a_track_comes_apart_into_two_much_smaller_clusters() -> None:
+    large, small, far = (-0.5, -0.5, 0.5, 0.5), (-0.5, -0.2, -0.1, 0.2), (3.0, 3.0, 3.4, 3.4)
+    beside = (0.2, -0.2, 0.6, 0.2)
+    place, radius, took = np.zeros((1, 2)), np.array([0.7]), np.zeros(1, dtype=np.int64)
+
+    def apart(spans: list[tuple[float, float, float, float]], free: list[bool]) -> bool:
+        return bool(come_apart(place, radius, took, boxes(0.0, spans), np.array(free))[0])
+
+    assert apart([small, beside], [False, True])
+    assert not apart([small, beside], [False, False])  # the other one is another track's
+    assert not apart([small, far], [False, True])
+    assert not apart([large, beside], [False, True])
+    assert not apart([small, large], [False, True])
+    assert not apart([small], [False])
+
+
+def test_a_young_track_that_comes_apart_begins_anew() -> None:
+    """What walks away from a box beside it, after both were one cluster from the first sight on."""
+    tracker, track_id = Tracker(TrackingConfig(), Notes()), -1
+    for k in range(12):
+        x = 0.5 - 0.1 * k
+        walker, box = (x - 0.2, -0.2, x + 0.2, 0.2), (0.4, 0.3, 0.9, 0.8)
+        both = [(min(x - 0.2, 0.4), -0.2, max(x + 0.2, 0.9), 0.8)]
+        tracks = tracker(replace(boxes(0.1 * k, both if k < 8 else [walker, box]), planar=False))
+        row = int(np.argmin(np.hypot(*(tracks.state[:, :2] - (x, 0.0)).T)))
+        if k == 7:
+            track_id = int(tracks.track_id[row])
+        if k >= 8:
+            assert tracks.status[row] == TrackStatus.CONFIRMED
+            assert tracks.radius_m[row] == pytest.approx(0.28, abs=0.01)
+            assert tracks.state[row, :2] == pytest.approx([x, 0.0], abs=0.06)
+    assert tracks.state[row, 3:5] == pytest.approx([-1.0, 0.0], abs=0.2)
+    assert track_id in tracks.track_id
 
 
 def test_what_is_beyond_the_body_is_on_the_others_side() -> None:
