@@ -48,7 +48,7 @@ def block_keys(ids: IntArray, stamp_ns: IntArray, block_ns: int) -> IntArray:
 
 def stretch_key(stamp_ns: int, block_ns: int) -> int:
     """The key of all that is in one time block."""
-    return (stamp_ns // block_ns) & _TIME
+    return int(block_keys(np.zeros(1, dtype=np.int64), np.array([stamp_ns]), block_ns)[0])
 
 
 @dataclass(frozen=True, slots=True)

@@ -86,10 +86,7 @@ class Tracker:
             self._predict(bank, kalman, dt)
             taken = self._update(bank, kalman, clusters)
             held = hold_faint(bank, clusters, self._now_s, *stood)
-            unseen = bank.cluster_id == NO_ID
-            state, _ = combine(bank.states, bank.covariances, bank.modes)
-            hidden = unseen & is_hidden(state[:, :3], clusters) & (not clusters.planar)
-            bank.hidden_s = np.where(unseen, bank.hidden_s + dt * hidden, 0.0)
+            self._count_hidden(bank, clusters, dt)
             self._end_and_confirm(bank)
             if not taken.all():
                 born = self._born(kalman, clusters, np.flatnonzero(~taken))
@@ -286,6 +283,15 @@ class Tracker:
         if along_m is not None:
             spread_m = np.concatenate([spread_m, along_m], axis=1)
         return kalman.measurement.noise(points, variance, spread_m @ rotation)
+
+    def _count_hidden(self, bank: TrackBank, clusters: Clusters, dt: float) -> None:
+        """Adds dt (s) to the time for which unseen tracks have been hidden; those that were seen begin at zero."""
+        unseen = np.flatnonzero(bank.cluster_id == NO_ID)
+        hidden_s = np.zeros(len(bank))
+        if len(unseen) and not clusters.planar:
+            state, _ = combine(bank.states[unseen], bank.covariances[unseen], bank.modes[unseen])
+            hidden_s[unseen] = bank.hidden_s[unseen] + dt * is_hidden(state[:, :3], clusters)
+        bank.hidden_s = hidden_s
 
     def _end_and_confirm(self, bank: TrackBank) -> None:
         config = self._config
