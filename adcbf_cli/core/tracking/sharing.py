@@ -26,7 +26,8 @@ LARGER = 1.2
 """Times a track's radius, that a cluster which holds more than its body has at least."""
 PIECE = 0.7
 YOUNG_S = 1.5
-"""Two clusters of less than this share of the radius of a track that is no older than this, are what it was made of."""
+"""Two clusters of less than this share of the radius of a track that is no older than this, are what it was made of.
+Not before a planar laser, where a walker's legs are one cluster and two by turns."""
 
 
 @dataclass(frozen=True, slots=True)
