@@ -94,7 +94,6 @@ def test_plugins_are_put_to_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     """What can be imported may still not be made, plan nothing, or leave the process."""
     (tmp_path / "strange.py").write_text("""
 import sys
-from dataclasses import replace
 from types import SimpleNamespace
 
 def planner(plan):

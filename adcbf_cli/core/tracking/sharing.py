@@ -8,6 +8,9 @@ visible part is expected. A cluster is shared where a track that stands still an
 at home in it, or two that move differently beyond doubt and are both smaller than it. Tracks that move
 alike are more likely parts of one body that was seen in pieces before, and so are those of which one is
 as large as the cluster.
+
+What was one cluster from the first sight on is one track, until it comes apart: its size and velocity were those of
+both together, and say nothing of either.
 """
 
 from __future__ import annotations
@@ -103,12 +106,14 @@ def homes(visible_m: FloatArray, eligible: BoolArray, clusters: Clusters, margin
 
 
 def come_apart(
-    place_m: FloatArray, radius_m: FloatArray, columns: IntArray, clusters: Clusters, free: BoolArray
+    place_m: FloatArray, radius_m: FloatArray, age_s: FloatArray, columns: IntArray, clusters: Clusters, free: BoolArray
 ) -> BoolArray:
-    """(k,) which tracks, expected at place_m (k, 2) with radii (k,), turn out to have been two things: both the cluster
-    that each took, `columns` (k,), and another that is `free` (c,) reach into its circle and are much smaller."""
+    """(k,) which young tracks, expected at place_m (k, 2) with radii (k,), turn out to have been two things: the
+    cluster that each took, `columns` (k,), and another that is `free` (c,) reach into its circle, both much smaller."""
+    if clusters.planar:
+        return np.zeros(len(columns), dtype=np.bool_)
     gap = np.linalg.norm(clusters.centre_m[:, :2] - place_m[:, None], axis=-1) - radius_m[:, None]
     is_piece = (gap < clusters.radius_m) & (clusters.radius_m < PIECE * radius_m[:, None])
     is_piece &= clusters.split_from == NO_ID
     result: BoolArray = is_piece[np.arange(len(columns)), columns] & (is_piece & free).any(axis=1)
-    return result
+    return result & (age_s <= YOUNG_S)

@@ -23,15 +23,7 @@ from adcbf_cli.core.tracking.hiding import is_hidden
 from adcbf_cli.core.tracking.linalg import inverted, quadratic_form, symmetrised
 from adcbf_cli.core.tracking.measurement import noise_along_axes, nominal_variance
 from adcbf_cli.core.tracking.modes import ModeChain, combine, mix, reweighed
-from adcbf_cli.core.tracking.sharing import (
-    YOUNG_S,
-    Sharing,
-    come_apart,
-    homes,
-    part_company,
-    share_clusters,
-    stand_and_move,
-)
+from adcbf_cli.core.tracking.sharing import Sharing, come_apart, homes, part_company, share_clusters, stand_and_move
 from adcbf_cli.core.tracking.standing import hold_faint, hold_structures
 from adcbf_cli.core.tracking.stillness import Sightings, known_to_move, still
 from adcbf_cli.core.tracking.structures import wall_pieces
@@ -170,8 +162,8 @@ class Tracker:
         bank.seen_s[hidden] = self._now_s  # one with what moves past it, not gone
         if not len(rows):
             return taken
-        apart = come_apart(state[rows, :2], bank.radius_m[rows], columns, clusters, ~taken)
-        apart &= (self._now_s - bank.born_s[rows] <= YOUNG_S) & (not clusters.planar)
+        age_s = self._now_s - bank.born_s[rows]
+        apart = come_apart(state[rows, :2], bank.radius_m[rows], age_s, columns, clusters, ~taken)
         doubt = size_doubt(bank, views, clusters, rows, columns)
         noise = self._noise(bank, kalman, rows, state, clusters.world_from_sensor, *doubt)
         measured = every[rows, columns]

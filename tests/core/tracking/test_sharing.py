@@ -102,8 +102,11 @@ def test_a_track_comes_apart_into_two_much_smaller_clusters() -> None:
     beside = (0.2, -0.2, 0.6, 0.2)
     place, radius, took = np.zeros((1, 2)), np.array([0.7]), np.zeros(1, dtype=np.int64)
 
-    def apart(spans: list[tuple[float, float, float, float]], free: list[bool]) -> bool:
-        return bool(come_apart(place, radius, took, boxes(0.0, spans), np.array(free))[0])
+    def apart(
+        spans: list[tuple[float, float, float, float]], free: list[bool], age_s: float = 1.0, planar: bool = False
+    ) -> bool:
+        clusters = replace(boxes(0.0, spans), planar=planar)
+        return bool(come_apart(place, radius, np.array([age_s]), took, clusters, np.array(free))[0])
 
     assert apart([small, beside], [False, True])
     assert not apart([small, beside], [False, False])  # the other one is another track's
@@ -111,6 +114,8 @@ def test_a_track_comes_apart_into_two_much_smaller_clusters() -> None:
     assert not apart([large, beside], [False, True])
     assert not apart([small, large], [False, True])
     assert not apart([small], [False])
+    assert not apart([small, beside], [False, True], age_s=2.0)
+    assert not apart([small, beside], [False, True], planar=True)
 
 
 def test_a_young_track_that_comes_apart_begins_anew() -> None:
